@@ -100,9 +100,6 @@ class ActiveTraining:
             )
 
 
-CONFIRMATION_PART = 40
-"""The number of episodes of a confirmation after which it is checked whether it can still pass; a multiple of
-the rows of a forward pass."""
 MET_IN_A_ROW, OFF_POLICY_MET_IN_A_ROW = 1, 2
 """Evaluations in a row that meet `solved` before a confirmation. The network of an off-policy algorithm
 changes in every step: of 8 trainings of FindBall with TD3, 2 had 20 of 20 successes after 2,528 steps, and 94
@@ -222,14 +219,16 @@ class Confirmations:
 
     def _play(self, plan: Confirmation, root: int, report: Callable[[], None]) -> list[Episode]:
         active = self._active
-        name = f"confirming on {plan.episodes:,} new starts"
+        name = f"confirming on {plan.least_episodes:,} new starts"
+        if plan.episodes > plan.least_episodes:
+            name = f"confirming on {plan.least_episodes:,} to {plan.episodes:,} new starts"
         episodes: list[Episode] = []
         began = time.perf_counter()
-        while len(episodes) < plan.episodes and not plan.is_lost(episodes):
+        while len(episodes) < plan.episodes and not (plan.is_lost(episodes) or plan.passes(episodes)):
             left = time_left(len(episodes), plan.episodes, time.perf_counter() - began)
             self.activity = Activity(name, f"{len(episodes):,} played{left}, needs {plan.requirement}")
             report()
-            part = range(len(episodes), min(plan.episodes, len(episodes) + CONFIRMATION_PART))
+            part = plan.next_part(len(episodes))
             seeds = [Start.of_evaluation(root, start).seed or 0 for start in part]
             episodes += active.evaluator.play(active.learner, active.run.program, active.interruption, seeds)
         return episodes

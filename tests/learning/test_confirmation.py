@@ -22,7 +22,7 @@ import pytest
 import stand_in
 import torch
 from scipy import stats
-from scipy.stats import binom, t
+from scipy.stats import binom
 from stand_in import hyper
 
 from deepbots_cli.cli.records import evaluation_text, interval_text, scores
@@ -37,7 +37,6 @@ from deepbots_cli.learning import (
     resume,
     train,
 )
-from deepbots_cli.learning.callbacks import CONFIRMATION_PART
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import (
     EVALUATION_EPISODES,
@@ -55,9 +54,9 @@ from deepbots_cli.learning.runs.statistics import (
     COST_SHARE,
     FALSE_STOPS,
     MARGIN,
+    PART,
     Confirmation,
     error_level,
-    lower_bound,
     may_begin,
     required_successes,
 )
@@ -136,8 +135,8 @@ def trained_once(
         plan = Confirmation.plan(solved, number, BOUNDS, evaluated)
         assert plan is not None
         done: list[Episode] = []
-        while len(done) < plan.episodes and not plan.is_lost(done):
-            done += draw(generator, value, min(CONFIRMATION_PART, plan.episodes - len(done)))
+        while len(done) < plan.episodes and not (plan.is_lost(done) or plan.passes(done)):
+            done += draw(generator, value, len(plan.next_part(len(done))))
         if plan.passes(done):
             return Outcome(value, failed, failed / steps)
         number, failed = number + 1, failed + len(done)
@@ -193,10 +192,14 @@ def test_a_confirmation_has_up_to_100000_episodes() -> None:
     assert [plan and plan.episodes for plan in plans] == [100_000, None]
 
 
-def test_the_lower_bound_is_that_of_student_with_the_worst_returns_added() -> None:
-    values = [3.0, 4.0, 5.0, 9.0, 0.0, 0.0]
-    half = t.ppf(0.975, 5) * np.std(values, ddof=1) / math.sqrt(6)
-    assert lower_bound(values[:4], 0.0, 0.025) == pytest.approx(np.mean(values) - half)
+def test_equal_returns_pass_after_the_episodes_that_bets_of_a_fixed_share_need() -> None:
+    # Each bet of 0.75 / 191 of the capital gains 9 on a return of 200 where 191 is too weak; 40 is enough.
+    plan = Confirmation.plan(RETURN, 1, BOUNDS)
+    assert plan is not None
+    enough = 1 + math.ceil(math.log(40) / math.log1p(9 * 0.75 / 191))
+    best = [Episode(200.0, 1, False, None)] * plan.episodes
+    assert [plan.passes(best[:count]) for count in (enough - 1, enough)] == [False, True]
+    assert (enough, plan.episodes) == (108, 216)
 
 
 @pytest.mark.parametrize(
@@ -211,20 +214,19 @@ def test_a_criterion_of_few_episodes_is_confirmed_with_more(criterion: Solved, e
 @pytest.mark.parametrize("number", [1, 3, 8])
 @pytest.mark.parametrize("required", [0.5, 0.9, 0.99])
 def test_rare_failures_that_a_sample_lacks_do_not_confirm_a_mean_return(required: float, number: int) -> None:
+    generator = np.random.default_rng(number)
     plan = Confirmation.plan(Solved(100, mean_return=required), number, (0.0, 1.0))
     assert plan is not None
-    chances = []
-    for high in np.linspace(
-        required, 1.0, 6
-    ):  # an episode returns this value or 0, and too little in the mean
-        episodes = (
-            [Episode(float(high), 1, False, None)] * plan.episodes,
-            [Episode(0.0, 1, False, None)] * plan.episodes,
-        )
-        mixed = range(round(required * plan.episodes), plan.episodes + 1)
-        passing = [count for count in mixed if plan.passes([*episodes[0][:count], *episodes[1][count:]])]
-        chances.append(float(np.sum(binom.pmf(passing, plan.episodes, (required - MARGIN) / high))))
-    assert max(chances) <= error_level(number)
+    for high in (
+        required,
+        (1 + required) / 2,
+        1.0,
+    ):  # an episode returns this value or 0, too little in the mean
+        passed = 0
+        for won in generator.random((150, plan.episodes)) < (required - MARGIN) / high:
+            episodes = [Episode(high * float(good), 1, False, None) for good in won]
+            passed += any(plan.passes(episodes[:count]) for count in range(100, plan.episodes + 1, 8))
+        assert binom.sf(passed - 1, 150, error_level(number)) > 1e-4
 
 
 def test_a_confirmation_ends_as_soon_as_it_cannot_pass() -> None:
@@ -680,7 +682,8 @@ def test_training_and_final_verdict_are_one_verdict(tmp_path: Path, solved: Solv
     verdict = run_verdict(result.run, run.record)
     assert verdict.solved is True
     assert verdict.evaluation is not None
-    assert (verdict.evaluation.confirmation, verdict.evaluation.episodes % (solved.episodes // 2)) == (1, 0)
+    assert verdict.evaluation.confirmation == 1
+    assert verdict.evaluation.episodes >= solved.episodes
     # The evaluation after the training and `deepbots eval` are these episodes, not other ones.
     trained = evaluate_trained(run)
     again = evaluate(run, episodes=verdict.evaluation.episodes, build=build)
@@ -716,7 +719,7 @@ def test_each_confirmation_has_new_starts_and_failed_ones_take_a_tenth_of_the_st
     assert result.confirmations >= 2
     confirmed_from = [seed for seed in build.seeds if seed in CONFIRMATIONS]
     assert len(confirmed_from) == len(set(confirmed_from))
-    last = callbacks.CONFIRMATION_PART  # episodes of a confirmation that fails at once
+    last = PART  # episodes of a confirmation that fails at once
     shortest = 6  # steps of an episode
     assert shortest * (len(begun) - last) <= COST_SHARE * result.steps
 

@@ -356,9 +356,12 @@ of 97.5 % would pass with 28 and 8 %. With 200 starts, it needs 194 and 195, and
 EXPECTED = 0.25
 """The smallest mean return for which the number of starts is chosen, as a share of the way from the required
 one to the highest return. With 100 starts for the highest return only, a policy of PitEscape with 0.91 where
-0.89 is required failed by the worst returns that are added."""
-PARTS = 2
-"""A confirmation has the episodes of `solved`, and so many more in halves of it that a good policy passes."""
+0.89 is required failed."""
+ROOM = 2
+"""A confirmation of a mean return has up to so many times the episodes after which the expected one passes."""
+PART = 40
+"""The number of episodes of a confirmation after which it is checked whether it can still pass; a multiple of
+the rows of a forward pass. Where the next ones may be enough to pass, it is a fifth of this."""
 HOPELESS = 0.01
 """A confirmation ends if a policy halfway to 100 % would have so few successes with at most this probability,
 or if Student's upper bound of the mean return at this level is below the required one. So a confirmation that
@@ -406,8 +409,7 @@ class Confirmation:
 
     An evaluation during a training is small and there are many of them, so one of them may meet `solved` by
     luck. A model whose evaluation meets `solved` is therefore confirmed on new starts, as many as `solved`
-    requires. The training stops only if the confirmation shows more than the required value. A confirmation
-    is judged once, by all of its episodes, so the chance of a false stop is easy to compute:
+    requires. The training stops only if the confirmation shows more than the required value:
 
     - The k-th confirmation of a training may err with a probability of 5 % / (k (k + 1)). Over all
       confirmations, the sum is at most 5 % (Bonferroni's inequality; 1/2 + 1/6 + 1/12 + ... = 1), for any
@@ -415,9 +417,9 @@ class Confirmation:
     - A success rate passes if a policy whose rate is 2 points below the required one would have so many
       successes with at most this probability, by the binomial distribution. For `>= 90 % over 100 episodes`,
       the first confirmation needs 95 of 100 successes, the second 142 of 150.
-    - A mean return passes if it reaches the required one, and Student's lower bound at this level is not more
-      than 2 % of the range of returns below it. The bound includes `worst_returns` more episodes with the
-      worst return, because returns are often equal but for rare failures, which a sample may miss.
+    - A mean return passes if it reaches the required one, and the evidence against a mean that is 2 % of the
+      range of returns below it (`mean_evidence`) exceeds 1 / level. This holds for any returns in the range
+      and after any number of episodes, so it passes as soon as this is true, from the number of `solved` on.
 
     A confirmation ends early when it cannot pass any more, or would hardly pass, which makes false stops
     rarer. `tests/learning/test_confirmation.py` measures the chances.
@@ -427,9 +429,9 @@ class Confirmation:
         number: The number of the confirmation, from 1.
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
             far.
-        episodes: The number of new starts: that of `solved`, and so many halves of it more that a good policy
-            passes. A policy halfway between the required rate and 100 % must pass with a probability
-            of `POWER`; a policy with the expected mean return must pass.
+        episodes: The largest number of new starts: that of `solved`, or more so that a good policy passes. A
+            policy halfway between the required rate and 100 % must pass with a probability of `POWER`; a
+            policy with the expected mean return must pass with its `ROOM`th part.
         successes: The number of required successes; 0 if `solved` has no success rate.
     """
 
@@ -458,13 +460,12 @@ class Confirmation:
         else:
             least = solved.mean_return + EXPECTED * (returns[1] - solved.mean_return)
             mean = min(returns[1], max(least, _cautious_mean(evaluated) if evaluated else returns[1]))
-        for episodes in range(solved.episodes, _MAX_EPISODES + 1, math.ceil(solved.episodes / PARTS)):
+        smallest = Confirmation.with_episodes(solved, number, returns, solved.episodes)
+        first = max(solved.episodes, ROOM * smallest._enough_equal(mean))
+        for episodes in range(first, _MAX_EPISODES + 1, math.ceil(solved.episodes / 2)):
             planned = Confirmation.with_episodes(solved, number, returns, episodes)
-            if solved.success_rate is not None:
-                halfway = (1 + solved.success_rate) / 2
-                if probability_of_at_least(planned.successes, episodes, halfway) < POWER:
-                    continue
-            if planned._return_passes([mean] * episodes):
+            halfway = (1 + (solved.success_rate or 0.0)) / 2
+            if probability_of_at_least(planned.successes, episodes, halfway) >= POWER:
                 return planned
         return None
 
@@ -487,14 +488,24 @@ class Confirmation:
     @property
     def requirement(self) -> str:
         """The condition to pass in words, such as `at least 95 of 100 successes`, or `a mean return of at
-        least 195, with a lower bound of 191`."""
+        least 195, certainly above 191`."""
         parts = []
         if self.solved.success_rate is not None:
             parts.append(f"at least {self.successes:,} of {self.episodes:,} successes")
         if self.solved.mean_return is not None:
-            bound = f"a lower bound of {number_text(self._lowest_bound)}"
-            parts.append(f"a mean return of at least {self.solved.mean_return:g}, with {bound}")
+            mean, weak = f"{self.solved.mean_return:g}", number_text(self._too_weak)
+            parts.append(f"a mean return of at least {mean}, certainly above {weak}")
         return " and ".join(parts)
+
+    @property
+    def least_episodes(self) -> int:
+        """The smallest number of episodes that may pass."""
+        return self.episodes if self.solved.success_rate is not None else self.solved.episodes
+
+    def next_part(self, played: int) -> range:
+        """Return the numbers of the next episodes, after which it is checked whether it passes or is lost."""
+        may_pass = self.least_episodes < self.episodes and played + PART > self.least_episodes
+        return range(played, min(self.episodes, played + (PART // 5 if may_pass else PART)))
 
     def is_lost(self, episodes: Sequence[Episode]) -> bool:
         """Return whether the first episodes rule out a confirmation that passes, or make it very unlikely."""
@@ -516,24 +527,33 @@ class Confirmation:
         )
 
     def passes(self, episodes: Sequence[Episode]) -> bool:
-        """Return whether all episodes of the confirmation show that the task is solved."""
-        returns = [episode.total_return for episode in episodes]
-        successes = sum(episode.is_success for episode in episodes)
-        if len(episodes) < self.episodes or successes < self.successes:
+        """Return whether these episodes, all of them or for a mean return the first ones, show that the task
+        is solved."""
+        count, successes = len(episodes), sum(episode.is_success for episode in episodes)
+        if count < self.least_episodes or successes < self.successes:
             return False
-        return self.solved.is_met(fmean(returns), successes / len(episodes)) and self._return_passes(returns)
+        returns = [episode.total_return for episode in episodes]
+        return self.solved.is_met(fmean(returns), successes / count) and self._return_passes(returns)
 
     def _return_passes(self, returns: Sequence[float]) -> bool:
-        """Return whether the lower bound of the mean return is at most `MARGIN` of the range below the
-        required one."""
-        return (
-            self.solved.mean_return is None
-            or lower_bound(returns, self.returns[0], self.level) >= self._lowest_bound
-        )
+        """Return whether the evidence against a mean return of `_too_weak` is enough."""
+        lowest, highest = min(self.returns[0], *returns), max(self.returns[1], *returns)
+        if self.solved.mean_return is None or self._too_weak <= lowest:
+            return True
+        evidence, _ = mean_evidence(self._too_weak, returns, (lowest, highest))
+        return evidence >= math.log(1 / self.level)
+
+    def _enough_equal(self, value: float) -> int:
+        """Return the number of episodes with this return that pass, by `mean_evidence`."""
+        gain, largest_loss = value - self._too_weak, self._too_weak - self.returns[0]
+        if self.solved.mean_return is None or largest_loss <= 0:
+            return 0
+        growth = math.log1p(min(1.0, _LARGEST_BET * gain / largest_loss))
+        return 1 + math.ceil(-math.log(self.level) / growth) if growth > 0 else _MAX_EPISODES + 1
 
     @property
-    def _lowest_bound(self) -> float:
-        """The smallest lower bound of the mean return that passes."""
+    def _too_weak(self) -> float:
+        """The largest mean return that a confirmation is to refuse."""
         low, high = self.returns
         return (self.solved.mean_return or 0.0) - MARGIN * (high - low)
 
@@ -547,25 +567,6 @@ def _cautious_mean(episodes: Sequence[Episode]) -> float:
     returns = [episode.total_return for episode in episodes]
     error = stdev(returns) / math.sqrt(len(returns)) if len(returns) > 1 else 0.0
     return fmean(returns) - error
-
-
-def worst_returns(level: float) -> int:
-    """Return the number of worst returns that the lower bound at a confidence of `1 - level` includes: 2, 3,
-    4 for the first confirmations.
-
-    A sample often lacks a rare failure, and its standard deviation is then too small. A. Agresti and B. Coull
-    (Am. Stat. 52, 1998) add z^2 / 2 failures to a proportion, where z is the normal quantile. With a single
-    one, 8 to 13 % of the trainings whose episodes return 0 or 1 stopped with a policy that is too weak.
-    """
-    return math.ceil(NormalDist().inv_cdf(1 - level) ** 2 / 2)
-
-
-def lower_bound(returns: Sequence[float], worst: float, level: float) -> float:
-    """Student's one-sided lower bound of a mean return at a confidence of `1 - level`, with `worst_returns`
-    added."""
-    values = [*returns, *[worst] * worst_returns(level)]
-    half = student_quantile(len(values) - 1, 1 - level) * stdev(values) / math.sqrt(len(values))
-    return fmean(values) - half
 
 
 def upper_bound(returns: Sequence[float], level: float) -> float:
