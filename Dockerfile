@@ -13,7 +13,7 @@ ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1 PYTHONUNBUFFERED=1
 WORKDIR /deepbots
 COPY . .
 RUN if [ -n "$TORCH_INDEX" ]; then pip install --index-url "$TORCH_INDEX" torch==2.13.0; fi \
-    && pip install ./deepbots_robot "/deepbots[contrib,export,tune]" \
+    && pip install ./deepbots_robot ./deepbots_webots "/deepbots[contrib,export,tune,webots]" \
     && mkdir /work \
     && chown 1000:1000 /work
 

@@ -5,8 +5,8 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3 || echo python3.11
 VENV := .venv
 BIN := $(VENV)/bin
 EDITORS := build/editors
-# deepbots-cli, and deepbots-robot, which no package index has: both are installed from this clone, in one command.
-PROJECTS := pyproject.toml deepbots_robot/pyproject.toml
+# deepbots-cli, and two distributions that no package index has: they are installed from this clone, in one command.
+PROJECTS := pyproject.toml deepbots_robot/pyproject.toml deepbots_webots/pyproject.toml
 # `worksteal` keeps tests of a module together, so that what they share is made once.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
 PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
@@ -68,7 +68,7 @@ check: dev ## everything that a change must pass
 types: dev
 	$(BIN)/mypy
 types-on-windows: dev
-	$(BIN)/mypy -p deepbots_cli -p deepbots_robot --platform win32 --cache-dir .mypy_cache/win32
+	$(BIN)/mypy -p deepbots_cli -p deepbots_robot -p deepbots_webots --platform win32 --cache-dir .mypy_cache/win32
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm
@@ -94,7 +94,7 @@ docs: $(VENV)/ready-for-docs ## the site in build/docs; a warning of Sphinx is a
 .PHONY: clean
 clean: ## remove .venv and what tools leave behind; runs stay
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	find deepbots_cli deepbots_robot tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
+	find deepbots_cli deepbots_robot deepbots_webots tests tools -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(VENV)/made:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null || \
@@ -126,7 +126,7 @@ $(VENV)/ready-for-docs: $(PROJECTS) | $(VENV)/made
 
 $(VENV)/ready-to-develop: $(PROJECTS) | $(VENV)/made
 	@echo "installing what tests and checks need; this takes a few minutes the first time"
-	@$(PIP) -e ./deepbots_robot -e '.[dev]'
+	@$(PIP) -e ./deepbots_robot -e ./deepbots_webots -e '.[dev]'
 	@touch $(VENV)/ready-to-train $(VENV)/ready-for-docs $@
 
 $(EDITORS)/installed: tests/editors/package.json

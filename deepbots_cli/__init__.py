@@ -15,7 +15,6 @@ rollout/            sources by name or path; episodes as a stream of steps
 cluster/            trainings in several processes or on several machines
 view/               the live page, pictures, clips, recordings
 insight/            explanations, reports, exported policies
-webots/             projects of Webots
 studio/             one page for writing, seeing and training
 cli/, lsp/          the command and the language server
 port.py             the interface of engines

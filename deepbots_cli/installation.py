@@ -17,6 +17,8 @@ _EXTRAS_OF_MODULES = {
     "zmq": "zmq",
 }
 """The extras of the modules whose packages have other names."""
+_FOLDERS = {"deepbots-robot": "deepbots_robot", "deepbots-webots": "deepbots_webots"}
+"""The folders of a clone with the other distributions."""
 
 
 def requirements() -> dict[str, list[str]]:
@@ -24,7 +26,7 @@ def requirements() -> dict[str, list[str]]:
     have an empty name. Empty if deepbots is not installed."""
     by_extra: dict[str, list[str]] = {}
     for package, extra, requirement in _requirements_of("deepbots-cli"):
-        by_extra.setdefault(extra, []).extend([package, *_packages_of_robot(requirement)])
+        by_extra.setdefault(extra, []).extend([package, *_packages_of_clone(requirement)])
     return by_extra
 
 
@@ -40,16 +42,14 @@ def _requirements_of(distribution: str) -> Iterator[tuple[str, str, str]]:
                 yield package[0], extra[1] if extra else "", requirement
 
 
-def _packages_of_robot(requirement: str) -> list[str]:
-    """Return the packages that a requirement of deepbots-robot adds, such as `deepbots-robot[log,zmq]`; none
-    for other packages."""
-    robot = re.match(r"deepbots-robot(?:\[([\w,-]+)\])?", requirement)
-    if robot is None:
+def _packages_of_clone(requirement: str) -> list[str]:
+    """Return the packages that a requirement of a distribution of the clone adds, such as
+    `deepbots-robot[log,zmq]`; none for other packages."""
+    own = re.match(rf"({'|'.join(_FOLDERS)})(?:\[([\w,-]+)\])?", requirement)
+    if own is None:
         return []
     return [
-        package
-        for package, extra, _ in _requirements_of("deepbots-robot")
-        if extra in ("", *(robot[1] or "").split(","))
+        package for package, extra, _ in _requirements_of(own[1]) if extra in ("", *(own[2] or "").split(","))
     ]
 
 
@@ -78,13 +78,15 @@ def extra_with(module: str) -> str | None:
 def install_hint(extra: str, origin: str | None = None) -> str:
     """Return the advice to install an extra from `origin`, by default from where deepbots was installed.
 
-    From a clone, deepbots-robot is installed in the same command if the extra needs it: no package index has
-    it.
+    From a clone, its other distributions are installed in the same command if the extra needs them: no
+    package index has them.
     """
     origin = origin or str(clone_folder() or "deepbots-cli")
     packages = [f"'{origin}[{extra}]'"]
-    if origin != "deepbots-cli" and "deepbots-robot" in requirements().get(extra, ()):
-        packages.insert(0, f"'{origin}/deepbots_robot'")
+    if origin != "deepbots-cli":
+        # An installation that is older than the extra does not know what it needs.
+        needed = {*requirements().get(extra, ()), f"deepbots-{extra}"}
+        packages[:0] = [f"'{origin}/{folder}'" for name, folder in _FOLDERS.items() if name in needed]
     return f"install it with: pip install {' '.join(packages)}"
 
 

@@ -1,6 +1,6 @@
 """The size of packages, whatever their layout, and what makes code hard to read.
 
-    python -m tools.sizes deepbots_cli deepbots_robot tests tools
+    python -m tools.sizes deepbots_cli deepbots_robot deepbots_webots tests tools
     python -m tools.sizes --budget
 
 The second command compares each package with its budget, the table `tool.deepbots.budget` of pyproject.toml, and
@@ -134,4 +134,4 @@ def main(roots: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:] or ["deepbots_cli", "deepbots_robot", "tests", "tools"]))
+    sys.exit(main(sys.argv[1:] or ["deepbots_cli", "deepbots_robot", "deepbots_webots", "tests", "tools"]))

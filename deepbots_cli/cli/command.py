@@ -29,6 +29,7 @@ from deepbots_cli.cli.commands import (
     TAKES,
     function_name,
 )
+from deepbots_cli.cli.webots import entry_of_webots
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import UsageError
 from deepbots_cli.words import sentence_list
@@ -516,13 +517,18 @@ class Command(TyperCommand):
                     formatter.write_dl(groups[group])
 
 
+def _function(name: str) -> Callable[..., None]:
+    module, function = function_name(name)
+    command: Callable[..., None] = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
+    return command
+
+
 @cache
 def _command(name: str) -> Any:
     """Return the command of this name. It is cached for programs that call `main` several times, because
     typer takes 4 ms to read its annotations."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None, context_settings=_SETTINGS)
-    module, function = function_name(name)
-    run = getattr(import_module(f"deepbots_cli.cli.commands.{module}"), function)
+    run = entry_of_webots("command") if name == "webots" else _function(name)
     app.command(name, cls=Command, help=help_text(name))(
         _with_permission_options(
             _with_role_options(run, ADVANCED if name == "eval" else SCENARIO) if name in _WITH_ROLES else run

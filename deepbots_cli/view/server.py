@@ -236,16 +236,6 @@ setInterval(() => {
 # The keys that drive, by their place on the keyboard.
 _DRIVING_KEY = f"""e => {json.dumps(KEYS)}.includes(e.code) && !e.ctrlKey && !e.metaKey && !e.altKey
   ? e.code : null"""
-# The code that Webots has for a key: the character in upper case, or a number from 312 on, with the
-# modifiers. A character that is not of ASCII is that of the key on an English keyboard.
-_WEBOTS_KEY = """e => {
-  const pad = {Home: 375, ArrowLeft: 376, ArrowUp: 377, ArrowRight: 378, ArrowDown: 379, End: 382};
-  const keys = {End: 312, Home: 313, ArrowLeft: 314, ArrowUp: 315, ArrowRight: 316, ArrowDown: 317,
-    PageUp: 366, PageDown: 367};
-  const text = /^[ -~]$/.test(e.key) ? e.key : (/^(?:Key|Digit)(.)$/.exec(e.code) ?? [])[1];
-  const code = (e.location == 3 && pad[e.key]) || keys[e.key] || text?.toUpperCase().charCodeAt(0);
-  const modifiers = 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey;
-  return !code || e.metaKey ? null : code + modifiers; }"""
 
 # The fonts and colors of the studio. All tabs fit in a row. In a window that is narrower than viser's limit
 # (36em), its panel lies over the world; here it stands below.
@@ -272,7 +262,7 @@ def serve(
     on_drive: OnDrive,
     *,
     needs_token: bool = False,
-    has_webots_keys: bool = False,
+    sent_key: str = _DRIVING_KEY,
     hidden: set[Any] | None = None,
 ) -> tuple[viser.ViserServer, str]:
     """Start the server in a thread. Returns the server, and the address of the page with its token, if any.
@@ -284,8 +274,8 @@ def serve(
         on_drive: Called in the server's thread with the keys that are held and the axes of a gamepad.
         needs_token: Whether the page requires a token on loopback too, because it can write files or act on
             programs, and other users of the machine can reach it.
-        has_webots_keys: Whether the page sends all keys, as the codes that Webots has for them, in place of
-            those that drive.
+        sent_key: A function of JavaScript that returns what the page sends for an event of a key, and null
+            for a key of the page; by default the keys that drive.
         hidden: A set that the server's thread fills: an entry for each open page that its browser does not
             show, such as that of a tab in the background.
 
@@ -303,9 +293,8 @@ def serve(
     token = "" if is_loopback(host) and not needs_token else new_token()
     for name in ("websockets", "websockets.server", "asyncio"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
-    key = _WEBOTS_KEY if has_webots_keys else _DRIVING_KEY
     with (
-        _guarded(host, token, on_drive, key, set() if hidden is None else hidden),
+        _guarded(host, token, on_drive, sent_key, set() if hidden is None else hidden),
         contextlib.redirect_stdout(io.StringIO()),
     ):  # viser prints a banner
         server = viser.ViserServer(host, number, label=label, verbose=False)

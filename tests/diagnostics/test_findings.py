@@ -571,8 +571,11 @@ def test_an_extra_is_installed_from_the_clone_that_deepbots_came_from_and_from_n
             (clone / "pyproject.toml").touch()
         hint = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
         assert hint == f"install it with: pip install '{origin}[sim]'\n"
+    command[-1] = command[-1].replace("sim", "webots")  # the metadata is older than this extra
+    hint = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+    assert hint == f"install it with: pip install '{clone}/deepbots_webots' '{clone}[webots]'\n"
     needed = "Provides-Extra: export\nRequires-Dist: deepbots-robot==0.1.0; extra == 'export'\n"
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: deepbots-cli\nVersion: 0.1.0\n{needed}")
-    command[-1] = command[-1].replace("sim", "export")
+    command[-1] = command[-1].replace("webots", "export")
     hint = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
     assert hint == f"install it with: pip install '{clone}/deepbots_robot' '{clone}[export]'\n"

@@ -636,7 +636,9 @@ def test_no_regular_expression_repeats_a_group_possessively():
     never ended."""
     possessive = re.compile(r"\)(?:[*+?]|\{[0-9,]+\})\+|\(\?>")
     sources = [
-        path for folder in ("deepbots_cli", "deepbots_robot") for path in (ROOT / folder).rglob("*.py")
+        path
+        for folder in ("deepbots_cli", "deepbots_robot", "deepbots_webots")
+        for path in (ROOT / folder).rglob("*.py")
     ]
     patterns = [
         (path.name, node.value)

@@ -60,6 +60,7 @@ def allow(*folders: str | Path) -> None:
         sys.prefix,
         sys.base_prefix,
         ROOT / "deepbots_cli",
+        ROOT / "deepbots_webots",
         ROOT / "tests",
         *shipped.data_roots(),
         "/proc/self/status",

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.webots.project import Files, world_of_source
-from deepbots_cli.webots.scene import build_scene
-from deepbots_cli.webots.simulation import Simulation
+from deepbots_webots.project import Files, world_of_source
+from deepbots_webots.scene import build_scene
+from deepbots_webots.simulation import Simulation
 from tests.fuzz.mutations import damaged
 
 SEEDS = Path(__file__).parent / "seeds_of_worlds"

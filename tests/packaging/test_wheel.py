@@ -1,7 +1,7 @@
 """The wheel contains what a user needs: it is built, unpacked elsewhere, and used from an empty folder.
 
-Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which
-needs it only for robots.
+Three distributions of one version: `deepbots-robot`, which a robot installs alone, `deepbots-webots`, and
+`deepbots-cli`, which needs them only for robots and for Webots.
 
 The content of the package index and of the container.
 
@@ -189,7 +189,7 @@ def test_notices_name_every_package_that_is_installed_and_the_citation_is_of_thi
     project = projects[0]
     required = [text for each in projects for text in each["dependencies"]]
     for each in projects:
-        extras = each["optional-dependencies"].items()
+        extras = each.get("optional-dependencies", {}).items()
         required += [text for extra, texts in extras for text in texts if extra not in ("dev", "docs")]
     needed = {re.match(r"[\w.-]+", text)[0] for text in required} - set(clean.PROJECTS)
     rows = re.findall(r"^\| ([a-z][^|]*) \|", (ROOT / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE)
@@ -206,11 +206,14 @@ def test_the_page_about_the_installation_names_every_extra() -> None:
     assert set(re.findall(r"^\| `([\w-]+)` \|", page, re.MULTILINE)) == set(extras)
 
 
-# Two distributions of one version: `deepbots-robot`, which a robot installs alone, and `deepbots-cli`, which
+# Three distributions of one version
 
 
-NEEDS_ROBOT = {"dev", "export", "robot", "ros", "sign", "zmq"}
-"""The extras of deepbots-cli that require deepbots-robot."""
+NEEDS = {
+    "deepbots-robot": {"dev", "export", "robot", "ros", "sign", "zmq"},
+    "deepbots-webots": {"dev", "webots"},
+}
+"""The extras of deepbots-cli that require another distribution of the clone."""
 
 
 @pytest.fixture(scope="module")
@@ -241,18 +244,25 @@ def names(requirements: set[str]) -> set[str]:
     return {re.match(r"[\w.-]+", text)[0] for text in requirements}  # type: ignore[index]
 
 
-def test_the_wheel_of_the_robot_contains_its_package_and_no_build_file(
-    wheels: dict[str, zipfile.ZipFile],
+@pytest.mark.parametrize("project", NEEDS)
+def test_the_wheel_of_another_distribution_contains_its_package_and_no_build_file(
+    wheels: dict[str, zipfile.ZipFile], project: str
 ) -> None:
-    files = {name for name in wheels["deepbots-robot"].namelist() if ".dist-info/" not in name}
-    modules = {f"deepbots_robot/{path.name}" for path in (ROOT / "deepbots_robot").glob("*.py")}
-    assert files == {*modules, "deepbots_robot/py.typed"}
+    files = {name for name in wheels[project].namelist() if ".dist-info/" not in name}
+    folder = clean.PROJECTS[project]
+    about = {"LICENSE", "NOTICES.md", "README.md", "pyproject.toml"}
+    listed = subprocess.run(["git", "ls-files"], cwd=folder, check=True, capture_output=True, text=True)
+    assert files == {f"{folder.name}/{name}" for name in {*listed.stdout.split()} - about}
 
 
-def test_no_file_is_in_both_wheels(wheels: dict[str, zipfile.ZipFile]) -> None:
-    cli, robot = (set(wheel.namelist()) for wheel in wheels.values())
-    assert not cli & robot
-    assert not [name for name in cli if "deepbots_robot" in name]
+def test_no_file_is_in_two_wheels(wheels: dict[str, zipfile.ZipFile]) -> None:
+    files = [name for wheel in wheels.values() for name in wheel.namelist()]
+    assert len(files) == len(set(files))
+    assert not [
+        name
+        for name in wheels["deepbots-cli"].namelist()
+        if name.startswith(("deepbots_robot", "deepbots_webots"))
+    ]
     commands = {
         project: wheel.read(name).decode()
         for project, wheel in wheels.items()
@@ -264,12 +274,16 @@ def test_no_file_is_in_both_wheels(wheels: dict[str, zipfile.ZipFile]) -> None:
     assert "deepbots-robot = deepbots_robot.__main__:main" in commands["deepbots-robot"]
 
 
-def test_both_wheels_have_the_version_of_deepbots_and_the_extra_robot_requires_this_version(
+def test_all_wheels_have_the_version_of_deepbots_and_their_extras_require_this_version(
     wheels: dict[str, zipfile.ZipFile],
 ) -> None:
     versions = {project: metadata(wheel)["Version"] for project, wheel in wheels.items()}
     assert versions == dict.fromkeys(clean.PROJECTS, deepbots_cli.__version__)
-    assert required(wheels["deepbots-cli"])["robot"] == {f"deepbots-robot=={deepbots_cli.__version__}"}
+    by_extra = required(wheels["deepbots-cli"])
+    for project in NEEDS:
+        requirement = {f"{project}=={deepbots_cli.__version__}"}
+        assert by_extra[project.removeprefix("deepbots-")] == requirement
+    assert required(wheels["deepbots-webots"]) == {"": {f"deepbots-cli[sim]=={deepbots_cli.__version__}"}}
 
 
 def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_training_or_simulation_need(
@@ -288,20 +302,16 @@ def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_traini
     }
 
 
-def test_deepbots_installs_without_the_robot_what_linting_and_training_need(
+def test_deepbots_installs_without_the_others_what_linting_and_training_need(
     wheels: dict[str, zipfile.ZipFile],
 ) -> None:
-    """Else `pip install '.[train]'` would fail in a clone: no package index has deepbots-robot."""
+    """Else `pip install '.[train]'` would fail in a clone: no package index has the other distributions."""
     by_extra = required(wheels["deepbots-cli"])
-    assert {
-        extra for extra, requirements in by_extra.items() if "deepbots-robot" in names(requirements)
-    } == NEEDS_ROBOT
-    (line,) = re.findall(
-        r"^The extras (.+) need deepbots-robot",
-        (ROOT / "docs" / "install.md").read_text(encoding="utf-8"),
-        re.MULTILINE,
-    )
-    assert set(re.findall(r"`(\w+)`", line)) == NEEDS_ROBOT
+    page = (ROOT / "docs" / "install.md").read_text(encoding="utf-8")
+    for project, extras in NEEDS.items():
+        assert {extra for extra, requirements in by_extra.items() if project in names(requirements)} == extras
+        (line,) = re.findall(rf"((?:`\w+`(?:, | and )?)+) need {project}", page)
+        assert set(re.findall(r"`(\w+)`", line)) == extras
     offered = set(metadata(wheels["deepbots-robot"]).get_all("Provides-Extra"))
     wanted = {
         text
@@ -312,10 +322,10 @@ def test_deepbots_installs_without_the_robot_what_linting_and_training_need(
     assert {extra for text in wanted for extra in text.partition("[")[2].rstrip("]").split(",")} <= offered
 
 
-def test_both_licenses_are_the_same_and_the_notices_of_the_robot_name_every_package() -> None:
+def test_all_licenses_are_the_same_and_the_notices_of_the_robot_name_every_package() -> None:
     folder = clean.PROJECTS["deepbots-robot"]
     project = tomllib.loads((folder / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert (folder / "LICENSE").read_bytes() == (ROOT / "LICENSE").read_bytes()
+    assert len({(each / "LICENSE").read_bytes() for each in clean.PROJECTS.values()}) == 1
     rows = re.findall(
         r"^\| ([a-z][^|]*) \|", (folder / "NOTICES.md").read_text(encoding="utf-8"), re.MULTILINE
     )
@@ -330,16 +340,17 @@ def test_both_licenses_are_the_same_and_the_notices_of_the_robot_name_every_pack
     assert described == set(project["optional-dependencies"])
 
 
-def test_an_editable_robot_is_the_package_of_its_clone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("project", NEEDS)
+def test_an_editable_distribution_is_the_package_of_its_clone(tmp_path: Path, project: str) -> None:
     command = [sys.executable, "-P", "-m", "hatchling", "build", "-t", "wheel:editable", "-d", str(tmp_path)]
-    subprocess.run(command, cwd=ROOT / "deepbots_robot", check=True, capture_output=True)
+    subprocess.run(command, cwd=clean.PROJECTS[project], check=True, capture_output=True)
     with zipfile.ZipFile(next(tmp_path.glob("*.whl"))) as wheel:
         (name,) = [name for name in wheel.namelist() if name.endswith(".pth")]
         assert Path(wheel.read(name).decode().strip()) == ROOT
         assert not [name for name in wheel.namelist() if name.endswith(".py")]
 
 
-def test_make_and_the_workflow_install_both_from_the_clone() -> None:
+def test_make_and_the_workflow_install_all_from_the_clone() -> None:
     texts = [
         path.read_text(encoding="utf-8")
         for path in (ROOT / "Makefile", ROOT / ".github" / "workflows" / "systems.yml")
@@ -347,15 +358,20 @@ def test_make_and_the_workflow_install_both_from_the_clone() -> None:
     installing = [line for text in texts for line in text.splitlines() if re.search(r"-e ['\"]\.\[", line)]
     assert len(installing) == 6
     assert all("-e ./deepbots_robot " in line for line in installing)
+    assert all("-e ./deepbots_webots " in line for line in installing if ".[dev]" in line)
 
 
 def test_the_language_has_the_messages_of_ros_where_the_robot_is_not_installed() -> None:
     assert tuple(PARTS) == ROS_TYPES
 
 
-WITHOUT_ROBOT = """
-import sys
-sys.modules["deepbots_robot"] = None
+WITHOUT_OTHERS = """
+import importlib.metadata, sys
+sys.modules["deepbots_robot"] = sys.modules["deepbots_webots"] = None
+installed = importlib.metadata.distributions
+importlib.metadata.distributions = lambda **context: (
+    each for each in installed(**context) if each.metadata["Name"] != "deepbots-webots"
+)
 from deepbots_cli.cli import main
 sys.exit(main(sys.argv[1:]))
 """
@@ -365,9 +381,9 @@ ROS = (
 )
 
 
-def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+def without_others(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    command = [sys.executable, "-c", WITHOUT_ROBOT, *words]
+    command = [sys.executable, "-c", WITHOUT_OTHERS, *words]
     return subprocess.run(
         command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
     )
@@ -387,28 +403,36 @@ def without_robot(folder: Path, *words: str) -> subprocess.CompletedProcess[str]
         lambda words: words[0],
     ),
 )
-def test_without_the_robot_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = without_robot(tmp_path, *words)
+def test_without_the_others_a_scenario_lints_and_runs(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = without_others(tmp_path, *words)
     assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(
-    ("words", "what"),
+    ("words", "what", "extra"),
     [
-        (("lint", "named.yaml"), "the section `ros`"),
-        pytest.param(("inspect", "cartpole", "--ros"), "--ros", marks=pytest.mark.slow),
-        (("serve", "bundle"), "serving a policy"),
-        pytest.param(("export", "--new-key", "key"), "making a key", marks=pytest.mark.slow),
-        pytest.param(("export", "--check", "cartpole", "bundle"), "reading a bundle", marks=pytest.mark.slow),
+        (("lint", "named.yaml"), "the section `ros`", "robot"),
+        pytest.param(("inspect", "cartpole", "--ros"), "--ros", "robot", marks=pytest.mark.slow),
+        (("serve", "bundle"), "serving a policy", "robot"),
+        pytest.param(("export", "--new-key", "key"), "making a key", "robot", marks=pytest.mark.slow),
+        pytest.param(
+            ("export", "--check", "cartpole", "bundle"), "reading a bundle", "robot", marks=pytest.mark.slow
+        ),
+        (("webots", "world.wbt"), "`deepbots webots`", "webots"),
+        (("new", "mine", "--webots", "world.wbt"), "`deepbots new --webots`", "webots"),
+        (("export", "cartpole", "--to", "webots"), "`deepbots export --to webots`", "webots"),
     ],
-    ids=["a section", "topics", "serving", "a key", "a bundle"],
+    ids=["a section", "topics", "serving", "a key", "a bundle", "a world", "a draft", "a project"],
 )
-def test_what_needs_the_robot_names_the_extra(words: tuple[str, ...], what: str, tmp_path: Path) -> None:
+def test_what_needs_another_distribution_names_the_extra(
+    words: tuple[str, ...], what: str, extra: str, tmp_path: Path
+) -> None:
     (tmp_path / "named.yaml").write_text(ROS, encoding="utf-8")
-    done = without_robot(tmp_path, *words)
+    done = without_others(tmp_path, *words)
     assert done.returncode == 2, done.stdout
     assert re.search(
-        rf"{re.escape(what)} needs the 'robot' extra; install it with: pip install .*\[robot\]'", done.stderr
+        rf"{re.escape(what)} needs the '{extra}' extra; install it with: pip install .*\[{extra}\]'",
+        done.stderr,
     ), done.stderr
 
 
@@ -463,9 +487,10 @@ def test_without_a_python_that_fits_make_says_so_in_one_sentence_and_begins_noth
     for name in pythons:
         (tools / name).write_text(OTHER_PYTHON)
         (tools / name).chmod(0o755)
-    (tmp_path / "deepbots_robot").mkdir()
-    for project in (".", "deepbots_robot"):
-        (tmp_path / project / "pyproject.toml").write_text("")
+    for folder in clean.PROJECTS.values():
+        project = tmp_path / folder.relative_to(ROOT)
+        project.mkdir(exist_ok=True)
+        (project / "pyproject.toml").write_text("")
     make = shutil.which("make")
     assert make is not None
     command = [make, "-f", str(ROOT / "Makefile"), "train"]

@@ -21,11 +21,11 @@ from deepbots_cli import api, frames
 from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Mesh
-from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.bridge.plant import Plant
-from deepbots_cli.webots.export.world import WorldWriter, world_text
-from deepbots_cli.webots.scene import build_scene
-from deepbots_cli.webots.simulation import Simulation
+from deepbots_webots import supervisor
+from deepbots_webots.bridge.plant import Plant
+from deepbots_webots.export.world import WorldWriter, world_text
+from deepbots_webots.scene import build_scene
+from deepbots_webots.simulation import Simulation
 from tests.webots.exported_projects import read
 
 Array = np.ndarray[Any, Any]

@@ -23,15 +23,15 @@ from deepbots_cli.cli.written_files import write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name
-from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.bridge.plant import MirrorEngine, Plant
-from deepbots_cli.webots.devices import device_object
-from deepbots_cli.webots.export.files import WebotsProject, prepare, project_files
-from deepbots_cli.webots.project import Files, World, read_world, world_of_source
-from deepbots_cli.webots.runner import SITE
-from deepbots_cli.webots.scene import build_scene
-from deepbots_cli.webots.simulation import Simulation
-from deepbots_cli.webots.tree import Node
+from deepbots_webots import supervisor
+from deepbots_webots.bridge.plant import MirrorEngine, Plant
+from deepbots_webots.devices import device_object
+from deepbots_webots.export.files import WebotsProject, prepare, project_files
+from deepbots_webots.project import Files, World, read_world, world_of_source
+from deepbots_webots.runner import SITE
+from deepbots_webots.scene import build_scene
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.tree import Node
 
 ROOT = Path(__file__).parents[2]
 STAND_IN = Path(__file__).parent / "stand_in"
@@ -235,7 +235,7 @@ def run(simulation: Simulation, seconds: float) -> None:
 
 def node(simulation: Simulation, name: str) -> Node:
     """Return the node of a DEF name, as a supervisor gets it."""
-    from deepbots_cli.webots.nodes import walk
+    from deepbots_webots.nodes import walk
 
     return Node(simulation, next(entry for entry in walk(simulation.scene.nodes) if entry.name == name))
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deepbots_cli.webots.sensors import NotImplementedCallError
+from deepbots_webots.sensors import NotImplementedCallError
 from tests.webots.exported_projects import (
     FLOOR,
     ROD_INERTIA,

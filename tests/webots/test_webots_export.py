@@ -12,10 +12,10 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots.nodes import walk
-from deepbots_cli.webots.project import read_world
-from deepbots_cli.webots.scene import build_scene
-from deepbots_cli.webots.simulation import Simulation
+from deepbots_webots.nodes import walk
+from deepbots_webots.project import read_world
+from deepbots_webots.scene import build_scene
+from deepbots_webots.simulation import Simulation
 from tests.webots.exported_projects import exported, run_exported, run_scenario
 
 FITTING = ("cartpole", "pit_escape", "find_ball", "multi_cartpole", "line_follower", "balancer")

@@ -9,11 +9,11 @@ import math
 
 import pytest
 
-from deepbots_cli.webots.sensors import NotImplementedCallError
-from deepbots_cli.webots.simulation import Simulation
-from deepbots_cli.webots.supervisor import Supervisor, activate, deactivate
-from deepbots_cli.webots.syntax import WorldError
-from deepbots_cli.webots.tree import Field, Node
+from deepbots_webots.sensors import NotImplementedCallError
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.supervisor import Supervisor, activate, deactivate
+from deepbots_webots.syntax import WorldError
+from deepbots_webots.tree import Field, Node
 from tests.webots.exported_projects import (
     FLOOR,
     HEADER,

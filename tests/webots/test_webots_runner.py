@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from deepbots_cli.cli.commands.webots import check_world
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
-from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.rendering import VideoRecorder
-from deepbots_cli.webots.supervisor import Keyboard
+from deepbots_webots import supervisor
+from deepbots_webots.command import check_world
+from deepbots_webots.rendering import VideoRecorder
+from deepbots_webots.supervisor import Keyboard
 from tests.webots.exported_projects import HEADER, ROOT, simulate
 
 WORLD = """WorldInfo { basicTimeStep 32 }
@@ -278,7 +278,6 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--engine", "pybullet"], "worlds of Webots run on 'mujoco', and not on 'pybullet'"),
         (["--protos", "nowhere"], "--protos nowhere: there is no such folder"),
         (["--python", "nowhere"], "--python nowhere does not run"),
         (["--steps", "0"], "too small"),

@@ -33,15 +33,15 @@ from websockets.sync.client import ClientConnection, connect
 from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.view import server
-from deepbots_cli.webots import supervisor
-from deepbots_cli.webots.project import Program
-from deepbots_cli.webots.runner import Runner
-from deepbots_cli.webots.scene import build_scene
-from deepbots_cli.webots.sensors import NotImplementedCallError
-from deepbots_cli.webots.shapes import MAX_PICTURE_BYTES
-from deepbots_cli.webots.simulation import MAX_DELAY_S, Pace, Simulation
-from deepbots_cli.webots.supervisor import Keyboard
-from deepbots_cli.webots.viewer import FRAME_RATE, Viewer
+from deepbots_webots import supervisor
+from deepbots_webots.project import Program
+from deepbots_webots.runner import Runner
+from deepbots_webots.scene import build_scene
+from deepbots_webots.sensors import NotImplementedCallError
+from deepbots_webots.shapes import MAX_PICTURE_BYTES
+from deepbots_webots.simulation import MAX_DELAY_S, Pace, Simulation
+from deepbots_webots.supervisor import Keyboard
+from deepbots_webots.viewer import FRAME_RATE, Viewer
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA
 from tests.webots.exported_projects import HEADER, device, read, simulate, solid

@@ -1,8 +1,8 @@
-"""Builds both sdists, the wheels from the sdists, and uses the wheels in new environments, from an empty
+"""Builds all sdists, the wheels from the sdists, and uses the wheels in new environments, from an empty
 folder.
 
-The first environment has deepbots-cli, trains, and exports a policy once deepbots-robot is there, too. The
-second one has deepbots-robot alone, without any other package of this environment, and answers a robot over
+The first environment has deepbots-cli, trains, exports a policy once deepbots-robot is there, too, and reads a
+world of Webots once deepbots-webots is. The second one has deepbots-robot alone, without any other package of this environment, and answers a robot over
 ZeroMQ.
 
     python -m tools.packaging.clean           this environment lends what the wheels need; no downloads
@@ -20,14 +20,18 @@ import sys
 import sysconfig
 import tarfile
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from importlib.metadata import PackageNotFoundError, distribution, requires
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import monotonic
 
 ROOT = Path(__file__).resolve().parents[2]
-PROJECTS = {"deepbots-cli": ROOT, "deepbots-robot": ROOT / "deepbots_robot"}
+PROJECTS = {
+    "deepbots-cli": ROOT,
+    "deepbots-robot": ROOT / "deepbots_robot",
+    "deepbots-webots": ROOT / "deepbots_webots",
+}
 """The folder that builds each distribution."""
 ROBOT_EXTRAS = ("log", "zmq")
 MAX_ROBOT_MB = 15.0
@@ -55,7 +59,7 @@ print(json.dumps(commands))
 def build(sources: Path, folder: Path) -> Path:
     """The wheel that the files of the sdist of `sources` alone make."""
     folder.mkdir(parents=True, exist_ok=True)
-    # -P: the folder of deepbots-robot is a package, whose modules are not modules of Hatchling.
+    # -P: the folders of some distributions are packages, whose modules are not modules of Hatchling.
     build = [sys.executable, "-P", "-m", "hatchling", "build", "-d", str(folder), "-t"]
     _run([*build, "sdist"], sources)
     (sdist,) = folder.glob("*.tar.gz")
@@ -171,6 +175,18 @@ def train(environment: Environment, folder: Path) -> Path:
     return run
 
 
+def check_world(environment: Environment, folder: Path) -> None:
+    """Export a scenario as a project of Webots, and check its world.
+
+    Raises:
+        AssertionError: The command does not read the world.
+    """
+    environment.run("deepbots", "export", "cartpole", "--to", "webots", "-o", "project", folder=folder)
+    checked = environment.run("deepbots", "webots", "project/worlds/cart_pole.wbt", "--json", folder=folder)
+    assert len(json.loads(checked)) == 2, checked
+    shutil.rmtree(folder / "project")
+
+
 def serve(environment: Environment, bundle: Path, folder: Path, *, steps: int = 50) -> None:
     """Check a bundle, and let its policy act for a robot over ZeroMQ.
 
@@ -211,13 +227,14 @@ def _run(command: Sequence[str], folder: Path) -> str:
     return done.stdout
 
 
-def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
-    """Train and export with both wheels, and serve with that of deepbots-robot alone, in new environments in
+def try_wheels(wheels: Iterable[Path], folder: Path, *, fetch: bool) -> None:
+    """Train and export with the wheels of `PROJECTS`, and serve with that of deepbots-robot alone, in new environments in
     `folder`.
 
     Raises:
         AssertionError: The commands do not do their work, or deepbots-robot takes more than `MAX_ROBOT_MB`.
     """
+    cli, robot, webots = wheels
     start, empty = monotonic(), folder / "empty"
     empty.mkdir()
     full = Environment(folder / "full")
@@ -228,7 +245,11 @@ def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
     full.install(str(robot), f"{cli}[export]", fetch=fetch)
     bundle = folder / "bundle"
     full.run("deepbots", "export", str(run), "-o", str(bundle), folder=empty)
-    print(f"{cli.name} lints, trains and exports in a new environment: {monotonic() - start:.0f} s")
+    full.install(str(webots), f"{cli}[webots]", fetch=fetch)
+    check_world(full, empty)
+    print(
+        f"{cli.name} lints, trains and exports, also to Webots, in a new environment: {monotonic() - start:.0f} s"
+    )
 
     start = monotonic()
     alone = Environment(folder / "robot")
@@ -251,8 +272,8 @@ def try_wheels(cli: Path, robot: Path, folder: Path, *, fetch: bool) -> None:
 def main(*, fetch: bool = False) -> None:
     with TemporaryDirectory() as name:
         folder = Path(name).resolve()
-        cli, robot = (build(sources, folder / "dist" / project) for project, sources in PROJECTS.items())
-        try_wheels(cli, robot, folder, fetch=fetch)
+        wheels = (build(sources, folder / "dist" / project) for project, sources in PROJECTS.items())
+        try_wheels(wheels, folder, fetch=fetch)
 
 
 if __name__ == "__main__":

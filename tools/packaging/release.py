@@ -101,11 +101,13 @@ def main(arguments: list[str] | None = None) -> int:
         folder = Path(name).resolve()
         copy_sources(folder / "sources", repository)
         built = folder / "dist"
-        cli = clean.build(folder / "sources", built / "deepbots-cli")
-        robot = clean.build(folder / "sources" / "deepbots_robot", built / "deepbots-robot")
+        wheels = [
+            clean.build(folder / "sources" / sources.relative_to(clean.ROOT), built / project)
+            for project, sources in clean.PROJECTS.items()
+        ]
         files = [*built.glob("*/*.whl"), *built.glob("*/*.tar.gz")]
         subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *map(str, files)], check=True)
-        clean.try_wheels(cli, robot, folder, fetch=options.fetch)
+        clean.try_wheels(wheels, folder, fetch=options.fetch)
         dist.mkdir(exist_ok=True)
         for file in files:
             shutil.copyfile(file, dist / file.name)

@@ -9,7 +9,8 @@ view.py         play, studio,    try_.py      test         transfer.py   robustn
 render.py       report, plot     export.py    serve        bench.py      doctor
 course.py       grade
 
-The module is imported when the command is called. The rest of its help is in `../help/NAME.txt`.
+`webots` is in deepbots-webots. The module is imported when the command is called. The rest of its help is in
+`../help/NAME.txt`.
 """
 
 from __future__ import annotations

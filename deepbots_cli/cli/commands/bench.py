@@ -256,6 +256,7 @@ _EXTRAS = {
     "ros": "ROS 2 topics of serve",
     "zmq": "ZeroMQ of serve",
     "cluster": "--cluster",
+    "webots": "projects of Webots",
     "tune": "searches by tune",
     "robot": "policies on a robot",
     "sign": "signatures of exported policies",

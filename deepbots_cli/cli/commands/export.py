@@ -29,6 +29,7 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
+from deepbots_cli.cli.webots import entry_of_webots
 from deepbots_cli.cli.written_files import check_new_folder, refuse_links_within, write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
@@ -113,9 +114,8 @@ def command(
         )
         return
     if to is Form.webots:
-        _write_webots(
-            source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json
-        )
+        export = entry_of_webots("exporter")
+        export(source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json)
         return
     check_options(ctx, "a policy")
     model = "last" if last else "best"
@@ -143,52 +143,6 @@ def command(
         return
     write_new(files, folder, force=force)
     _show_bundle(folder, files, ref.name, source, as_json=as_json)
-
-
-def _write_webots(
-    source: Path,
-    out: Path | None,
-    overrides: list[str] | tuple[()],
-    permissions: Permissions,
-    agent: str | None,
-    last: bool,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Write a scenario, or a run with its policy, as a project of Webots; list first what differs there."""
-    from deepbots_cli.webots.export import files as webots
-
-    opened = Source.open(source, permissions, SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT)
-    is_run = opened.kind is not SourceKind.SCENARIO
-    if not is_run and (agent is not None or last):
-        raise UsageError("--agent and --last name a policy of a run; leave them out for a scenario")
-    if is_run and overrides:
-        raise UsageError("a run is always exported as it was trained; leave out --set")
-    folder = out or Path(f"{opened.path.resolve().name.removesuffix('.yaml')}-webots")
-    check_new_folder(folder, force=force)
-    refuse_links_within(folder)
-    policy = None
-    if is_run:
-        ref = ModelRef.open(opened, model="last" if last else "best")
-        run = run_to_export(ref.run, agent)
-        prepared = webots.prepare(Source.open(run.path, permissions, SourceKind.RUN))
-        webots.note_training(prepared, run.program)
-    else:
-        prepared = webots.prepare(opened, overrides)
-    if not as_json:
-        for sentence in prepared.gaps.differs:
-            terminal.note(f"differs in Webots: {sentence}")
-    if is_run:
-        policy = webots.policy_of_run(run, ref.name)
-    files = webots.project_files(prepared, policy)
-    write_new(files, folder, force=force)
-    world = next(path for path in files if path.suffix == ".wbt")
-    terminal.show(
-        {"folder": folder, "differs": prepared.gaps.differs, "files": [str(path) for path in files]},
-        f"{folder}: {len(files)} files; open {world} in Webots",
-        as_json=as_json,
-        next_commands=[f"deepbots webots {quote(str(folder / world))} --allow-code"],
-    )
 
 
 def _show_bundle(

@@ -1,4 +1,4 @@
-"""`deepbots new`: a scenario from a template, for a robot file or for a world of Webots (`starters/`), or a
+"""`deepbots new`: a scenario from a template, for a robot file (`starters/`) or for a world of Webots, or a
 copy of a shipped one with the files that it reads; `scenarios`: the shipped ones."""
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from shlex import quote
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -23,6 +23,7 @@ from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
 from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
 from deepbots_cli.cli.tables import Row, table
+from deepbots_cli.cli.webots import Starter, entry_of_webots
 from deepbots_cli.cli.written_files import Files, modeline, write_new
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
@@ -42,9 +43,6 @@ from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
-
-if TYPE_CHECKING:
-    from deepbots_cli.cli.starters.webots import Starter
 
 _WORKFLOW = """\
 name: lint
@@ -158,7 +156,7 @@ def command(
         contents, first = _from_robot(urdf, name, folder, permissions, choices, copy=copy)
         _note_kind(urdf, first)
     elif webots is not None:
-        starter = _from_webots(webots, protos or (), name)
+        starter = entry_of_webots("starter")(webots, protos or (), name, scenario_title(name))
         contents = dict(starter.files)
     else:
         contents = from_shipped(shipped_name, name) if shipped_name else from_template(template or "", name)
@@ -216,28 +214,6 @@ def _next_commands(
         else:
             commands += [f"train --teacher {script.name}" for script in program.agent.scripts[:1]]
     return commands if has_schema else [*commands, "lsp --schema --for"]
-
-
-def _from_webots(world: Path, library: Sequence[Path], name: str) -> Starter:
-    """Return the scenario for a world of Webots.
-
-    Raises:
-        UsageError: There is no such file or folder, or no valid scenario comes out.
-    """
-    if world.suffix != ".wbt" or not world.is_file():
-        raise UsageError(f"{world} is not a world; name a file that ends in .wbt")
-    for folder in library:
-        if not folder.is_dir():
-            raise UsageError(f"--protos {folder}: there is no such folder")
-    from deepbots_cli.cli.starters.webots import from_webots
-    from deepbots_cli.webots.syntax import WorldError
-
-    try:
-        return from_webots(world, library, name, scenario_title(name))
-    except WorldError as error:
-        for finding in error.findings:
-            terminal.note(str(finding))
-        raise typer.Exit(1) from error
 
 
 def _note_places(starter: Starter) -> None:

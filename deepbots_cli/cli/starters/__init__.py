@@ -7,7 +7,6 @@ first_scenario.py  the task that suits the kind of a robot, and its template; wh
 legs.py, arms.py   the groups, poses and motors of robots on legs, of arms and of hands
 draft.py      the groups, poses and motors of a robot; templates, numbers, names and comments; *.yaml and
               arm.urdf are those of `deepbots new --template`
-webots.py     the scenario of a project of Webots, from its draft (`webots/imports`)
 """
 
 from __future__ import annotations

@@ -1,0 +1,256 @@
+"""The state of a world in Webots, by the functions of its supervisor, and an engine that follows it.
+
+Frames are those of root links: m in the world, quaternions (x, y, z, w).
+
+The world moves in Webots. After each timestep, deepbots sets the engine to the poses and velocities of
+Webots. So the engine computes every reading that these determine: poses, rays, clearances. Contacts come from
+Webots, and the controllers of the robots drive the motors.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mechanics import is_movable
+from deepbots_cli.engines.mujoco import mujoco
+from deepbots_cli.port import ZERO_VECTOR, EngineProxy
+from deepbots_cli.program.world import ARENA_WALLS
+from deepbots_webots.bridge.names import def_name, joint_def
+from deepbots_webots.nodes import axis_angle
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.port import ContactReader, Engine, MotorWriter, Part
+    from deepbots_cli.program.world import EngineParameter, WorldModel
+    from deepbots_cli.robots.model import Joint
+
+
+class Motion(NamedTuple):
+    """The frame and the velocities of a body: m, quaternion, m/s, rad/s."""
+
+    position: Triple
+    orientation: Quaternion
+    linear: Triple
+    angular: Triple
+
+
+class Plant:
+    """Reads and sets the bodies of a world."""
+
+    def __init__(self, supervisor: Any, world: WorldModel) -> None:
+        """Take the nodes of the world.
+
+        Args:
+            supervisor: The `controller.Supervisor` of the world.
+            world: The world of the scenario; the world of Webots has the same names.
+        """
+        self.supervisor = supervisor
+        self._nodes: dict[str, Any] = {}
+        robots = {robot.name: robot for robot in world.robots}
+        self.moving_bodies = [
+            *(name for name, robot in robots.items() if not robot.fixed_base),
+            *(body.name for body in world.objects if is_movable(body)),
+        ]
+        self.joints = [
+            (robot.name, _JointReader(self, robot.name, joint))
+            for robot in world.robots
+            for joint in robot.model.moving_joints
+        ]
+        self._roots = {name: robot.model.root for name, robot in robots.items()}
+
+    def node(self, *parts: str) -> Any:
+        """Return the node of a body, or of one of its links."""
+        if len(parts) == 2 and self._roots.get(parts[0], parts[0]) == parts[1]:
+            parts = parts[:1]
+        return self._node(def_name(*parts))
+
+    def _node(self, name: str) -> Any:
+        if name not in self._nodes:
+            node = self.supervisor.getFromDef(name)
+            if node is None:
+                raise LookupError(f"the world has no node DEF {name}; export the scenario again")
+            self._nodes[name] = node
+        return self._nodes[name]
+
+    def reset(self, timestep: int) -> None:
+        """Bring the world back to its start, at rest; this takes a step of `timestep` ms."""
+        self.supervisor.simulationReset()
+        self.wait(timestep)
+        # The reset happens within a step, whose physics has set bodies in motion already.
+        self.supervisor.simulationResetPhysics()
+
+    def wait(self, timestep: int) -> None:
+        """Let the world run for some ms.
+
+        Raises:
+            SystemExit: Webots ends the simulation.
+        """
+        from controller import Robot  # type: ignore[import-not-found]
+
+        if Robot.step(self.supervisor, timestep) == -1:
+            raise SystemExit
+
+    def motion(self, body: str, link: str | None = None) -> Motion:
+        """Return the motion of a body, or of one of its links."""
+        node = self.node(body) if link is None else self.node(body, link)
+        x, y, z = node.getPosition()
+        u, v, w, a, b, c = node.getVelocity()
+        return Motion((x, y, z), _quaternion(node.getOrientation()), (u, v, w), (a, b, c))
+
+    def place(
+        self, body: str, position: Triple, orientation: Quaternion, linear: Triple, angular: Triple
+    ) -> None:
+        """Set the frame and the velocities of a body."""
+        node = self.node(body)
+        node.getField("translation").setSFVec3f(list(position))
+        node.getField("rotation").setSFRotation(axis_angle(orientation))
+        if any((*linear, *angular)):  # at rest since the reset of the physics, which comes before
+            node.setVelocity([*linear, *angular])
+
+    def set_joint(self, robot: str, joint: str, position: float) -> None:
+        self._node(joint_def(robot, joint)).setJointPosition(position)
+
+    def joint_node(self, robot: str, joint: str) -> Any:
+        return self._node(joint_def(robot, joint))
+
+    def set_gravity(self, gravity: Sequence[float]) -> None:
+        """Set gravity, m/s^2; that of Webots is a number, and downward."""
+        self._node("WORLD_INFO").getField("gravity").setSFFloat(-gravity[2])
+
+    def touch(self, part: Part) -> Callable[[], bool]:
+        """Return whether anything touches a body, or one of its links, at the end of the last timestep."""
+        body, link = part
+        node = self.node(body) if link is None else self.node(body, link)
+        inner = link is None
+        return lambda: bool(node.getContactPoints(inner))
+
+
+class _JointReader:
+    """The state of a joint: rad or m, and the velocity by those of its two links."""
+
+    def __init__(self, plant: Plant, robot: str, joint: Joint) -> None:
+        self.name = joint.name
+        self._plant, self._robot, self._joint = plant, robot, joint
+        # URDF has the axis in the frame of the joint; this is that of the parent link.
+        self._axis = frames.rotate(frames.frame(joint.origin)[1], joint.axis)
+        self._field: Any = None
+
+    def __call__(self) -> tuple[float, float]:
+        joint = self._joint
+        if self._field is None:
+            node = self._plant.joint_node(self._robot, joint.name)
+            self._field = node.getField("jointParameters").getSFNode().getField("position")
+        parent = self._plant.motion(self._robot, joint.parent)
+        child = self._plant.motion(self._robot, joint.child)
+        axis = frames.rotate(parent.orientation, self._axis)
+        if joint.type == "prismatic":
+            arm = frames.subtract(child.position, parent.position)
+            carried = frames.add(parent.linear, frames.cross(parent.angular, arm))
+            return self._field.getSFFloat(), frames.dot(frames.subtract(child.linear, carried), axis)
+        return self._field.getSFFloat(), frames.dot(frames.subtract(child.angular, parent.angular), axis)
+
+
+def _quaternion(rows: Sequence[float]) -> Quaternion:
+    """Return the quaternion of a rotation matrix, row by row."""
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.array(rows))
+    w, x, y, z = quaternion.tolist()
+    return x, y, z, w
+
+
+TOUCHING_M = 1e-3
+"""The distance of two surfaces that touch, at a contact point of Webots."""
+
+
+class MirrorEngine(EngineProxy):
+    """The engine of a scenario in a world of Webots."""
+
+    def __init__(self, engine: Engine, plant: Plant, world: WorldModel) -> None:
+        super().__init__(engine)
+        self.plant = plant
+        self.timestep_ms = round(world.timestep * 1000)
+        self._substeps = world.substeps
+        self._others = [robot.name for robot in world.robots] + [body.name for body in world.objects]
+        if world.arena is not None:
+            self._others += ARENA_WALLS
+        self.let_timestep_pass: Callable[[], None] = lambda: plant.wait(self.timestep_ms)
+        """The function that lets a timestep pass."""
+        self.is_starting = False
+        """Whether the world is being placed for a new episode."""
+
+    def reset(self) -> None:
+        self.is_starting = True
+        self.engine.reset()
+        self.plant.reset(self.timestep_ms)
+        self._bring_back()
+
+    def _bring_back(self) -> None:
+        """Set the world to the state after a reset: its physics steps within the timestep of the reset."""
+        for body in self.plant.moving_bodies:
+            self.plant.place(body, *self.engine.pose(body)(), ZERO_VECTOR, ZERO_VECTOR)
+        for robot, joint in self.plant.joints:
+            ((position, _),) = self.engine.joint_states(robot, (joint.name,))()
+            self.plant.set_joint(robot, joint.name, position)
+
+    def step(self, substeps: int) -> None:
+        """Let the world run, in whole timesteps, and follow it."""
+        for _ in range(max(1, round(substeps / self._substeps))):
+            if self.is_starting:
+                self.plant.wait(self.timestep_ms)
+            else:
+                self.let_timestep_pass()
+        self.follow()
+
+    def follow(self) -> None:
+        """Take over the state of the world."""
+        place_body, set_joint = self.engine.place, self.engine.set_joint
+        for body in self.plant.moving_bodies:
+            place_body(body, *self.plant.motion(body))
+        for robot, joint in self.plant.joints:
+            set_joint(robot, joint.name, *joint())
+
+    def place(
+        self,
+        body: str,
+        position: Triple,
+        orientation: Quaternion,
+        velocity: Triple = ZERO_VECTOR,
+        angular_velocity: Triple = ZERO_VECTOR,
+    ) -> None:
+        self.engine.place(body, position, orientation, velocity, angular_velocity)
+        self.plant.place(body, position, orientation, velocity, angular_velocity)
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        self.engine.set_joint(robot, joint, position, velocity)
+        self.plant.set_joint(robot, joint, position)
+
+    def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
+        """Set a parameter of the engine; gravity also in the world. Webots changes no other in an episode."""
+        self.engine.set_parameter(parameter, owner, *values)
+        if parameter == "gravity":
+            self.plant.set_gravity(values)
+
+    def contact(
+        self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True
+    ) -> ContactReader:
+        """Return whether `one` touches one of `others` at the end of a timestep."""
+        touches = self.plant.touch(one)
+        if others is None and ground:
+            return touches
+        if others is None:
+            others = [(name, None) for name in self._others if name != one[0]]
+        # Webots shows that a body touches anything, and the engine shows which other bodies are that near.
+        gaps = [self.engine.clearance(one, part) for part in others]
+        return lambda: touches() and any(gap() < TOUCHING_M for gap in gaps)
+
+    def _no_motor(self, *_of: Any, **_limits: Any) -> MotorWriter:
+        return lambda targets: None
+
+    velocity_motor = _no_motor
+    position_motor = _no_motor
+    torque_motor = _no_motor

@@ -1,0 +1,352 @@
+"""`deepbots webots`: a world of Webots, with its controllers, on MuJoCo; what `deepbots new --webots` writes."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import time
+import webbrowser
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from deepbots_cli.cli import terminal
+from deepbots_cli.cli.command import Force, Host, Json, Open, Port, integer, option
+from deepbots_cli.cli.exits import FAILED, INTERRUPTED
+from deepbots_cli.cli.tables import table
+from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
+from deepbots_cli.words import counted
+
+if TYPE_CHECKING:
+    from deepbots_cli.cli.webots import Starter
+    from deepbots_webots.project import Program, World
+    from deepbots_webots.runner import Outcome
+    from deepbots_webots.scene import Robot, Scene
+    from deepbots_webots.simulation import Pace, Simulation
+    from deepbots_webots.viewer import Viewer
+
+_MAX_NAMED = 5
+"""The maximum number of worlds that a message names."""
+_NUMBERED = re.compile(r"(.*[^0-9])(0|[1-9][0-9]{0,5})")
+
+
+def command(
+    world: Annotated[Path, typer.Argument(metavar="WORLD.wbt", help="The world of a project of Webots.")],
+    allow_code: Annotated[
+        bool,
+        option(
+            "--allow-code",
+            "Run the controllers of the project: programs with all rights of yours. Without this option, the"
+            " world is only checked.",
+        ),
+    ] = False,
+    steps: Annotated[
+        int | None, integer("--steps N", "End after this number of basic time steps; by default, never.")
+    ] = None,
+    timeout: Annotated[
+        float, option("--timeout SECONDS", "End if a controller does not step for this time.", min=0.1)
+    ] = 600.0,
+    fast: Annotated[
+        bool | None,
+        typer.Option(
+            "--fast/--real-time",
+            help="Run as fast as the machine can, or at the pace of a clock, which is the default with"
+            " --view.",
+        ),
+    ] = None,
+    protos: Annotated[
+        list[Path] | None,
+        option(
+            "--protos DIR",
+            "A copy of Webots, or a folder with PROTO files, from which the world may read; may be repeated."
+            " WEBOTS_HOME is another one.",
+        ),
+    ] = None,
+    python: Annotated[
+        Path | None,
+        option(
+            "--python FILE",
+            "The interpreter of the environment whose packages the controllers import; it has the same"
+            " version as this one.",
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None,
+        option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
+    ] = None,
+    view: Annotated[
+        bool,
+        option(
+            "--view", "Show the run in the browser, where keys are pressed for a Keyboard, until it ends."
+        ),
+    ] = False,
+    host: Host = "127.0.0.1",
+    port: Port = None,
+    open_: Open = False,
+    force: Force = False,
+    as_json: Json = False,
+) -> None:
+    """Run the controllers of a world of Webots."""
+    with _checked(world, protos or ()):
+        opened = _read(world, protos or ())
+        if not allow_code:
+            _show_robots(opened, as_json=as_json)
+            return
+        page = _Page(host, port, open_) if view else None
+        is_fast = not view if fast is None else fast
+        options = _Options(steps, timeout, python, record, force, page, is_fast, as_json)
+        _run(world, protos or (), opened, options)
+
+
+def start(world: Path, protos: Sequence[Path], name: str, title: str) -> Starter:
+    """Return the scenario of a world, for `deepbots new --webots`.
+
+    Raises:
+        UsageError: There is no such file or folder, or no valid scenario comes out.
+    """
+    from deepbots_webots.imports.starter import from_webots
+
+    with _checked(world, protos):
+        return from_webots(world, protos, name, title)
+
+
+@contextmanager
+def _checked(world: Path, protos: Sequence[Path]) -> Iterator[None]:
+    """Context that checks the paths of a command first, and that prints the errors of the world."""
+    from deepbots_webots.syntax import WorldError
+
+    check_world(world)
+    for folder in protos:
+        if not folder.is_dir():
+            raise UsageError(f"--protos {folder}: there is no such folder")
+    try:
+        yield
+    except WorldError as error:
+        for finding in error.findings:
+            terminal.note(str(finding))
+        raise typer.Exit(FAILED) from error
+
+
+def check_world(path: Path) -> None:
+    """Check that a file exists and has the ending of a world.
+
+    Raises:
+        UsageError: It does not.
+    """
+    if path.suffix == ".wbt" and path.is_file():
+        return
+    if path.exists() and not path.is_dir():
+        raise UsageError(f"{path} is not a world; name a file that ends in .wbt")
+    folder = path if path.is_dir() else path.parent
+    worlds = sorted(world.name for world in (*folder.glob("*.wbt"), *folder.glob("worlds/*.wbt")))[
+        :_MAX_NAMED
+    ]
+    hint = f"; {folder} has the worlds {', '.join(worlds)}" if worlds else "; name a file that ends in .wbt"
+    raise UsageError(f"{path} is a folder{hint}" if path.is_dir() else f"{path} does not exist{hint}")
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A world that was read, and the programs of its robots."""
+
+    world: World
+    scene: Scene
+    programs: list[tuple[Robot, Program]]
+
+
+def _read(path: Path, protos: Sequence[Path]) -> _Opened:
+    from deepbots_webots.project import read_world
+    from deepbots_webots.scene import build_scene
+
+    world = read_world(path, protos)
+    scene = build_scene(world)
+    for warning in world.findings.warnings:
+        terminal.note(str(warning))
+    world.findings.require_none()
+    return _Opened(world, scene, _programs(world, scene))
+
+
+def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
+    from deepbots_webots.project import programs
+
+    pairs = list(programs(world.files, scene.robots))
+    for robot, program in pairs:
+        if program.remark:
+            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.remark}")
+    return pairs
+
+
+def _show_robots(opened: _Opened, *, as_json: bool) -> None:
+    by_robot = dict(opened.programs)
+    rows = [
+        {
+            "robot": robot.name,
+            "supervisor": "yes" if robot.is_supervisor else "no",
+            "controller": robot.controller,
+            "runs": "yes" if robot in by_robot and by_robot[robot].path is not None else "no",
+            "devices": ", ".join(robot.devices),
+        }
+        for robot in opened.scene.robots
+    ]
+    shown = [
+        row | {"devices": _short(robot.devices)} for row, robot in zip(rows, opened.scene.robots, strict=True)
+    ]
+    note = "add --allow-code to run these controllers, if you trust the project"
+    terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
+
+
+def _short(names: Iterable[str]) -> str:
+    """Return names as a text, of which consecutive ones such as `ps0`, `ps1` and `ps2` are `ps0 .. ps2`."""
+    numbers: dict[tuple[str, bool], list[int]] = {}
+    for name in names:
+        match = _NUMBERED.fullmatch(name)
+        stem, number = match.groups() if match else (name, None)
+        each = numbers.setdefault((stem, match is not None), [])
+        each += [] if number is None else [int(number)]
+    entries = []
+    for (stem, _), each in numbers.items():
+        if len(each) > 2 and each == [*range(each[0], each[-1] + 1)]:
+            entries.append(f"{stem}{each[0]} .. {stem}{each[-1]}")
+        else:
+            entries += [f"{stem}{number}" for number in each] or [stem]
+    return ", ".join(entries)
+
+
+@dataclass(frozen=True)
+class _Page:
+    """Where to serve the page of a run."""
+
+    host: str
+    port: int | None
+    opens_browser: bool
+
+
+@dataclass(frozen=True)
+class _Options:
+    """How to run a world."""
+
+    steps: int | None
+    timeout: float
+    python: Path | None
+    record: Path | None
+    force: bool
+    page: _Page | None
+    is_fast: bool
+    as_json: bool
+
+
+def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options) -> None:
+    from deepbots_webots.simulation import Pace, Simulation
+
+    simulation = Simulation(opened.scene, opened.world.span)
+    pace = Pace(simulation, is_fast=options.is_fast)
+    try:
+        with ExitStack() as stack:
+            viewer = None
+            if options.page is not None:
+                viewer = stack.enter_context(_serve(simulation, pace, path.name, options))
+            outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+            # A stuck controller is a thread that nothing ends, and it would run beside its successor.
+            while viewer is not None and pace.wants_restart and not outcome.is_stuck:
+                for problem in outcome.problems:
+                    terminal.print_error(problem)
+                opened = _read(path, protos)
+                simulation = Simulation(opened.scene, opened.world.span)
+                pace = Pace(simulation, is_fast=pace.is_fast)
+                viewer.show(simulation, pace)
+                outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+    except KeyboardInterrupt:
+        terminal.note("interrupted")
+        _leave(INTERRUPTED)
+    _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
+    _exit(outcome)
+
+
+def _run_once(
+    simulation: Simulation,
+    programs: list[tuple[Robot, Program]],
+    options: _Options,
+    pace: Pace,
+    viewer: Viewer | None,
+) -> tuple[Outcome, float]:
+    """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
+    from deepbots_webots.rendering import VideoRecorder
+    from deepbots_webots.runner import Runner, packages_of
+
+    with ExitStack() as stack:
+        recorder = None
+        if options.record is not None:
+            video = VideoRecorder(simulation, options.record.resolve(), force=options.force)
+            recorder = stack.enter_context(video)
+        runner = Runner(
+            simulation,
+            programs,
+            steps=options.steps,
+            timeout=options.timeout,
+            packages=packages_of(options.python) if options.python is not None else (),
+            # With --json, the standard output has the JSON alone.
+            output=sys.stderr if options.as_json else None,
+            pace=pace,
+            after_step=[call for call in (recorder, viewer) if call is not None],
+            on_line=None if viewer is None else viewer.print_line,
+        )
+        started = time.perf_counter()
+        return runner.run(), time.perf_counter() - started
+
+
+def _serve(simulation: Simulation, pace: Pace, title: str, options: _Options) -> Viewer:
+    """Serve the page of a run, and print its address. A run that is recorded has no second one."""
+    from deepbots_webots.viewer import Viewer
+
+    page = options.page
+    assert page is not None
+    can_restart = options.record is None
+    viewer = Viewer(simulation, pace, title, page.host, page.port, can_restart=can_restart)
+    terminal.note(viewer.address)
+    if page.opens_browser:
+        webbrowser.open(viewer.address)
+    return viewer
+
+
+def _exit(outcome: Outcome) -> None:
+    """End with the exit code of a run."""
+    if outcome.is_stuck:
+        _leave(outcome.exit_code)
+    if outcome.exit_code:
+        raise typer.Exit(outcome.exit_code)
+
+
+def _leave(code: int) -> NoReturn:
+    """End the process. Controllers that run are threads, which nothing else ends."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) -> None:
+    for problem in outcome.problems:
+        terminal.print_error(problem)
+    rate = outcome.seconds / seconds if seconds else 0.0
+    speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
+    facts = {
+        "exit_code": outcome.exit_code,
+        "steps": outcome.steps,
+        "simulated_s": outcome.seconds,
+        "wall_s": round(seconds, 3),
+        "physics_cpu_s": round(physics, 3),
+        "controllers": [
+            {"robot": name, "exit_code": code, "steps": count} for name, code, count in outcome.controllers
+        ],
+    }
+    if as_json:
+        terminal.show_json(facts)
+        return
+    terminal.note(
+        f"{counted(outcome.steps, 'step')}, {outcome.seconds:g} s of simulated time in {seconds:.1f} s"
+        f" ({speed} times real time; {physics:.1f} s of CPU for the physics)"
+    )

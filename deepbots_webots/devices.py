@@ -1,0 +1,411 @@
+"""The devices of robots, as the module `controller` has them: motors, brakes and sensors of joints, emitters,
+receivers, those that do little, and the class of each.
+
+Names and meanings are those of Webots' reference. An attribute of Webots that is missing here raises
+`NotImplementedCallError` with its name.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+import sys
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from deepbots_webots.imaging import Camera, Lidar, Radar, RangeFinder
+from deepbots_webots.nodes import integer, number, numbers
+from deepbots_webots.sensors import (
+    GPS,
+    Accelerometer,
+    Altimeter,
+    Compass,
+    Device,
+    DistanceSensor,
+    Gyro,
+    InertialUnit,
+    LightSensor,
+    ScalarSensor,
+    Sensor,
+    TouchSensor,
+    returns,
+    returns_number,
+)
+
+if TYPE_CHECKING:
+    from deepbots_webots.scene import Device as Spec
+    from deepbots_webots.simulation import Packet, Simulation
+
+
+# Joints
+
+
+class JointDevice(Device):
+    """A device of a joint."""
+
+    ROTATIONAL, LINEAR = 0, 1
+
+    def getType(self) -> int:
+        return 1 if self._spec.joint is not None and self._spec.joint.kind == "slide" else 0
+
+    def _sibling(self, *types: str) -> Any:
+        robot = self._spec.body.robot
+        if robot is None:
+            return None
+        for spec in robot.devices.values():
+            if spec.joint is self._spec.joint and spec.type in types:
+                return device_object(self._simulation, spec)
+        return None
+
+    def getMotor(self) -> Any:
+        return self._sibling("RotationalMotor", "LinearMotor")
+
+    def getPositionSensor(self) -> Any:
+        return self._sibling("PositionSensor")
+
+    def getBrake(self) -> Any:
+        return self._sibling("Brake")
+
+
+class PositionSensor(JointDevice, ScalarSensor):
+    """The position of a joint, rad or m."""
+
+    def sample(self) -> None:
+        joint = self._spec.joint
+        if joint is not None:
+            position = self._simulation.physics.joint_position(joint)
+            self._value = self._rounded(position + self._noise(number(self._spec.node, "noise")))
+
+
+class Brake(JointDevice):
+    """Damping that a controller adds to a joint, N m s/rad or N s/m."""
+
+    def setDampingConstant(self, dampingConstant: float) -> None:
+        if self._spec.joint is not None:
+            self._simulation.physics.set_damping(self._spec.joint, float(dampingConstant))
+
+
+class _Feedback(ScalarSensor):
+    """The torque of a motor."""
+
+    def sample(self) -> None:
+        physics = self._simulation.physics
+        self._value = physics.motors.torque(physics.motors[self._spec.node])
+
+
+class Motor(JointDevice):
+    """A motor of a joint: position (rad or m), velocity (per s), or torque (N m or N)."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._state = simulation.physics.motors[spec.node]
+        self._feedback = _Feedback(simulation, spec)
+        self._range = number(spec.node, "minPosition"), number(spec.node, "maxPosition")
+
+    def setPosition(self, position: float) -> None:
+        position, state = float(position), self._state
+        if self._ignores(math.isnan(position), "the position is NaN"):
+            return
+        low, high = self._range
+        if low != high and not math.isinf(position) and not low <= position <= high:
+            self._warn(f"position {position:g} is outside {low:g} .. {high:g}, and is limited")
+            position = min(max(position, low), high)
+        state.target_position = position
+        if state.torque is not None:
+            state.torque = None
+            self._simulation.physics.motors.renew()
+
+    def setVelocity(self, velocity: float) -> None:
+        velocity, state = float(velocity), self._state
+        if self._ignores(math.isnan(velocity), "the velocity is NaN"):
+            return
+        is_wrong = velocity < 0 and not math.isinf(state.target_position)
+        if self._ignores(is_wrong, f"the velocity {velocity:g} is negative under position control"):
+            return
+        if abs(velocity) > state.max_velocity:
+            if math.isfinite(velocity):
+                self._warn(
+                    f"velocity {velocity:g} exceeds maxVelocity {state.max_velocity:g}, and is limited"
+                )
+            velocity = math.copysign(state.max_velocity, velocity)
+        state.target_velocity = velocity
+
+    def _ignores(self, is_wrong: bool, reason: str) -> bool:
+        """Print why a wrong call has no effect. Webots prints an error too, and goes on."""
+        if is_wrong:
+            print(f"Error: {self._spec.name}: {reason}, so the call is ignored", file=sys.stderr)
+        return is_wrong
+
+    def setAcceleration(self, acceleration: float) -> None:
+        is_wrong = acceleration != -1 and not acceleration >= 0
+        if self._ignores(is_wrong, f"the acceleration {acceleration:g} is neither -1 nor at least 0"):
+            return
+        self._state.acceleration = float(acceleration)
+
+    def setTorque(self, torque: float) -> None:
+        torque, limit = float(torque), self._state.available_torque
+        if self._ignores(math.isnan(torque), "the torque or force is NaN"):
+            return
+        if abs(torque) > limit:
+            self._warn(f"{torque:g} exceeds the limit {limit:g}, and is limited")
+        self._state.torque = min(max(torque, -limit), limit)
+        self._simulation.physics.motors.renew()
+
+    def setAvailableTorque(self, torque: float) -> None:
+        limit = self._state.max_torque
+        if self._ignores(not torque >= 0, f"the available torque or force {torque:g} is not at least 0"):
+            return
+        if torque > limit:
+            self._warn(f"available torque {torque:g} exceeds the limit {limit:g}, and is limited")
+        self._state.available_torque = min(float(torque), limit)
+        self._simulation.physics.motors.renew()
+
+    setForce = setTorque
+    setAvailableForce = setAvailableTorque
+
+    def setControlPID(self, p: float, i: float, d: float) -> None:
+        is_wrong = not (p > 0 and i >= 0 and d >= 0)
+        if self._ignores(is_wrong, f"the gains {p:g}, {i:g}, {d:g} must be positive; i and d may be 0"):
+            return
+        self._state.gains = float(p), float(i), float(d)
+        self._state.integral = self._state.last_error = 0.0
+
+    getTargetPosition = returns("_state.target_position")
+    getVelocity = returns("_state.target_velocity")
+    getMaxVelocity = returns("_state.max_velocity")
+    getAcceleration = returns("_state.acceleration")
+    getMinPosition = returns_number("minPosition")
+    getMaxPosition = returns_number("maxPosition")
+
+    getAvailableTorque = returns("_state.available_torque")
+    getMaxTorque = returns("_state.max_torque")
+    getAvailableForce = getAvailableTorque
+    getMaxForce = getMaxTorque
+
+    getMultiplier = returns_number("multiplier")
+
+    def enableTorqueFeedback(self, samplingPeriod: int) -> None:
+        self._feedback.enable(samplingPeriod)
+
+    def disableTorqueFeedback(self) -> None:
+        self._feedback.disable()
+
+    getTorqueFeedback = returns("_feedback._value")
+    getTorqueFeedbackSamplingPeriod = returns("_feedback._asked")
+    enableForceFeedback = enableTorqueFeedback
+    disableForceFeedback = disableTorqueFeedback
+    getForceFeedback = getTorqueFeedback
+    getForceFeedbackSamplingPeriod = getTorqueFeedbackSamplingPeriod
+
+
+# Messages, and devices that do little
+
+
+class Emitter(Device):
+    """Sends messages to the receivers of other robots."""
+
+    CHANNEL_BROADCAST = -1
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._channel = integer(spec.node, "channel")
+        self._range = number(spec.node, "range")
+        self._size = integer(spec.node, "bufferSize")
+
+    def send(self, message: str | bytes | Sequence[float]) -> int:
+        """Send a text, bytes or numbers; returns 1, or 0 if the message is larger than the buffer."""
+        if isinstance(message, str):
+            # A C string, as in Webots; it counts for the size of the buffer.
+            data = message.encode("utf-8") + b"\0"
+        elif isinstance(message, bytes | bytearray | memoryview):
+            data = bytes(message)
+        else:
+            data = struct.pack(f"{len(message)}d", *message)
+        if 0 <= self._size < len(data):
+            return 0
+        self._simulation.send(self._spec, data, self._channel, self._range)
+        return 1
+
+    getChannel = returns("_channel")
+
+    def setChannel(self, channel: int) -> None:
+        allowed = numbers(self._spec.node, "allowedChannels")
+        if allowed and channel not in allowed:
+            self._warn(f"channel {channel} is not allowed")
+            return
+        self._channel = int(channel)
+
+    getRange = returns("_range")
+
+    def setRange(self, range: float) -> None:
+        most = number(self._spec.node, "maxRange")
+        if most >= 0 and not 0 <= range <= most:
+            self._warn(f"range {range:g} exceeds maxRange {most:g}, and is limited")
+            range = most
+        self._range = float(range)
+
+    getBufferSize = returns("_size")
+
+
+class Receiver(Sensor):
+    """Messages of other robots, in the order in which they were sent."""
+
+    CHANNEL_BROADCAST = -1
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._inbox = simulation.inboxes[spec]
+        self._size = integer(spec.node, "bufferSize")
+
+    def _begin(self) -> None:
+        self._inbox.is_enabled = True
+
+    def disable(self) -> None:
+        super().disable()
+        self._inbox.is_enabled = False
+
+    def sample(self) -> None:
+        inbox = self._inbox
+        if not inbox.arrived:
+            return
+        size = self._size
+        for packet in inbox.arrived:
+            if size < 0 or sum(len(entry.data) for entry in inbox.queue) + len(packet.data) <= size:
+                inbox.queue.append(packet)
+        inbox.arrived.clear()
+
+    def getQueueLength(self) -> int:
+        return len(self._inbox.queue)
+
+    def nextPacket(self) -> None:
+        self._head("nextPacket")
+        self._inbox.queue.popleft()
+
+    def _head(self, function: str) -> Packet:
+        if not self._inbox.queue:
+            raise RuntimeError(f"Receiver.{function}: the queue of '{self._spec.name}' is empty")
+        return self._inbox.queue[0]
+
+    def getBytes(self) -> bytes:
+        return self._head("getBytes").data
+
+    def getData(self) -> bytes:
+        return self._head("getData").data
+
+    def getString(self) -> str:
+        return self._head("getString").data.partition(b"\0")[0].decode("utf-8")
+
+    def getFloats(self) -> list[float]:
+        data = self._head("getFloats").data
+        return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
+
+    def getDataSize(self) -> int:
+        return len(self._head("getDataSize").data)
+
+    def getSignalStrength(self) -> float:
+        return self._head("getSignalStrength").strength()
+
+    def getEmitterDirection(self) -> list[float]:
+        return list(self._head("getEmitterDirection").direction())
+
+    getChannel = returns("_inbox.channel")
+
+    def setChannel(self, channel: int) -> None:
+        self._inbox.channel = int(channel)
+
+
+class LED(Device):
+    """A lamp: 0 is off, n its n-th color; a gradual one takes an RGB number."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._value = 0
+
+    def set(self, value: int) -> None:
+        self._value = int(value)
+
+    get = returns("_value")
+
+
+class Display(Device):
+    """A display that nobody sees: what is drawn has no effect."""
+
+    def _draw(self, *_: Any) -> None:
+        """Do nothing."""
+
+    setColor = setAlpha = setOpacity = setFont = _draw
+    drawPixel = drawLine = drawRectangle = drawOval = drawPolygon = drawText = _draw
+    fillRectangle = fillOval = fillPolygon = _draw
+
+    def getWidth(self) -> int:
+        return integer(self._spec.node, "width")
+
+    def getHeight(self) -> int:
+        return integer(self._spec.node, "height")
+
+
+class Speaker(Device):
+    """A speaker that nobody hears: sounds have no effect, and end at once."""
+
+    def _sound(self, *_: Any, **__: Any) -> None:
+        """Do nothing."""
+
+    speak = stop = setEngine = setLanguage = _sound
+
+    @staticmethod
+    def playSound(left: Any, right: Any, *_: Any, **__: Any) -> None:
+        """Do nothing."""
+
+    def isSoundPlaying(self, sound: str = "") -> bool:
+        return False
+
+    def isSpeaking(self) -> bool:
+        return False
+
+
+class Connector(Device):
+    """A connector: no function of it is implemented."""
+
+
+class Pen(Device):
+    """A pen: no function of it is implemented."""
+
+
+class Microphone(Device):
+    """A microphone: no function of it is implemented."""
+
+
+class VacuumGripper(Device):
+    """A vacuum gripper: no function of it is implemented."""
+
+
+class Skin(Device):
+    """A skin: no function of it is implemented."""
+
+
+class Radio(Device):
+    """A radio: no function of it is implemented."""
+
+
+_CLASSES: dict[str, type[Device]] = {
+    "RotationalMotor": Motor,
+    "LinearMotor": Motor,
+    **{
+        kind.__name__: kind
+        for kind in (
+            *(PositionSensor, Brake, Gyro, Accelerometer, Compass, InertialUnit, GPS, Altimeter),
+            *(DistanceSensor, TouchSensor, Emitter, Receiver, LED),
+            *(Camera, RangeFinder, Lidar, Radar, LightSensor, Display, Speaker, Connector, Pen),
+            *(Microphone, VacuumGripper, Skin, Radio),
+        )
+    },
+}
+
+
+def device_object(simulation: Simulation, spec: Spec) -> Device:
+    """Return the object of a device; the same one each time."""
+    if spec not in simulation.objects:
+        simulation.objects[spec] = _CLASSES[spec.type](simulation, spec)
+    device = simulation.objects[spec]
+    assert isinstance(device, Device)
+    return device

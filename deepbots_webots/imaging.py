@@ -1,0 +1,485 @@
+"""Cameras, range finders, lidars and radars, as the module `controller` has them."""
+
+from __future__ import annotations
+
+import math
+from math import nan
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.errors import EngineError
+from deepbots_cli.records import dataclass
+from deepbots_webots.nodes import boolean, child, integer, number, text
+from deepbots_webots.scene import AXES
+from deepbots_webots.sensors import (
+    NotImplementedCallError,
+    Sensor,
+    returns,
+    returns_list,
+    returns_number,
+)
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from deepbots_webots.rendering import Pictures
+    from deepbots_webots.scene import Device as Spec
+    from deepbots_webots.simulation import Simulation
+    from deepbots_webots.syntax import Node
+
+
+class _HasRange(Sensor):
+    """A device that measures distances within a range, m."""
+
+    getMinRange = returns_number("minRange")
+    getMaxRange = returns_number("maxRange")
+
+
+class _Optics(Sensor):
+    """A device with a picture, planar and with square pixels."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._size = max(1, integer(spec.node, "width")), max(1, integer(spec.node, "height"))
+        self._fov = number(spec.node, "fieldOfView")
+
+    def _begin(self) -> None:
+        """Check that pictures can be drawn, so that an error is raised where the device is enabled."""
+        from deepbots_webots.rendering import require_opengl
+
+        node = self._spec.node
+        is_planar = text(node, "projection") == "planar" and not boolean(node, "spherical")
+        if not (is_planar and 0 < self._fov < math.pi):
+            raise NotImplementedCallError(
+                f"a {self._spec.type} with a projection that is not planar is not implemented"
+            )
+        self._require_size()
+        try:
+            require_opengl()
+        except EngineError as error:
+            raise EngineError(f"{self._spec.type} '{self._spec.name}' cannot draw: {error}") from error
+
+    def _require_size(self) -> None:
+        from deepbots_webots.rendering import MAX_PIXELS
+
+        if max(self._size) > MAX_PIXELS:
+            raise ValueError(f"{self._spec.type} '{self._spec.name}' is larger than {MAX_PIXELS} pixels")
+
+    def _pictures(self) -> Pictures:
+        return self._simulation.pictures
+
+    getFov = returns("_fov")
+
+    def getWidth(self) -> int:
+        return self._size[0]
+
+    def getHeight(self) -> int:
+        return self._size[1]
+
+    def _save(self, picture: Any, filename: str, quality: int) -> int:
+        """Write a picture by the suffix of the file, such as .png or .jpg; returns 0, or -1 if that fails."""
+        from PIL import Image
+
+        try:
+            Image.fromarray(picture).save(filename, quality=min(max(int(quality), 1), 100))
+        except (OSError, ValueError) as error:  # Pillow has a ValueError for an unknown suffix
+            self._warn(f"saveImage(): {error}")
+            return -1
+        return 0
+
+
+class Camera(_Optics):
+    """A camera; its picture is BGRA, row by row from above."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._picture: NDArray[np.uint8] | None = None
+        self._zoom = child(spec.node, "zoom")
+
+    def sample(self) -> None:
+        import numpy as np
+
+        colors = self._pictures().colors(self._frame(), self._size, self._fov, self.getNear())
+        noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
+        if noise > 0:
+            # numpy draws a picture at once; its seed comes from the world, so that runs repeat.
+            generator = np.random.default_rng(self._simulation.random.getrandbits(64))
+            noisy = colors + generator.normal(0.0, noise, colors.shape)
+            colors = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+        self._picture = colors
+
+    def getNear(self) -> float:
+        return max(number(self._spec.node, "near"), 1e-3)
+
+    def getImage(self) -> bytes | None:
+        """Return the picture; None before the first one."""
+        import numpy as np
+
+        if self._picture is None:
+            return None
+        opaque = np.full((*self._picture.shape[:2], 1), 255, np.uint8)
+        return np.concatenate((self._picture[..., ::-1], opaque), axis=-1).tobytes()
+
+    def getImageArray(self) -> list[list[list[int]]] | None:
+        """Return red, green and blue of the pixel x, y at `[x][y]`; None before the first picture."""
+        return None if self._picture is None else self._picture.swapaxes(0, 1).tolist()
+
+    @staticmethod
+    def imageGetRed(image: bytes, width: int, x: int, y: int) -> int:
+        return image[4 * (y * width + x) + 2]
+
+    @staticmethod
+    def imageGetGreen(image: bytes, width: int, x: int, y: int) -> int:
+        return image[4 * (y * width + x) + 1]
+
+    @staticmethod
+    def imageGetBlue(image: bytes, width: int, x: int, y: int) -> int:
+        return image[4 * (y * width + x)]
+
+    @staticmethod
+    def imageGetGray(image: bytes, width: int, x: int, y: int) -> float:
+        at = 4 * (y * width + x)
+        return (image[at] + image[at + 1] + image[at + 2]) / 3
+
+    imageGetGrey = imageGetGray
+
+    def saveImage(self, filename: str, quality: int) -> int:
+        return -1 if self._picture is None else self._save(self._picture, filename, quality)
+
+    def hasRecognition(self) -> bool:
+        return child(self._spec.node, "recognition") is not None
+
+    def getMinFov(self) -> float:
+        return self._fov if self._zoom is None else number(self._zoom, "minFieldOfView")
+
+    def getMaxFov(self) -> float:
+        return self._fov if self._zoom is None else number(self._zoom, "maxFieldOfView")
+
+    def setFov(self, f: float) -> None:
+        """Set the field of view (rad) of a camera with a Zoom node."""
+        low, high = self.getMinFov(), self.getMaxFov()
+        if self._zoom is None or not low <= f <= high:
+            self._warn(f"setFov({f:g}) has no effect: the camera has no Zoom node that allows it")
+            return
+        self._fov = float(f)
+
+
+class RangeFinder(_Optics, _HasRange):
+    """A depth camera: distances along its axis (m), row by row from above; infinite beyond its range."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._depths: NDArray[np.float32] | None = None
+
+    def sample(self) -> None:
+        import numpy as np
+
+        node = self._spec.node
+        depths = self._pictures().depths(self._frame(), self._size, self._fov).astype(np.float32)
+        least, most = self.getMinRange(), self.getMaxRange()
+        # Before the noise, which would move depths across the limits.
+        is_seen = (depths >= least) & (depths <= most)
+        noise, resolution = number(node, "noise") * most, number(node, "resolution")
+        if noise > 0:
+            generator = np.random.default_rng(self._simulation.random.getrandbits(64))
+            depths += generator.normal(0.0, noise, depths.shape).astype(np.float32)
+        if resolution > 0:
+            depths = np.round(depths / resolution) * np.float32(resolution)
+        depths[~is_seen] = np.inf
+        self._depths = depths
+
+    def getRangeImage(self, data_type: str = "list") -> Any:
+        """Return the distances as a list, or as bytes of float32 for `buffer`; None before the first."""
+        if self._depths is None:
+            return None
+        return self._depths.tobytes() if data_type == "buffer" else self._depths.ravel().tolist()
+
+    def getRangeImageArray(self) -> list[list[float]] | None:
+        """Return the distances, a list for each row."""
+        return None if self._depths is None else self._depths.tolist()
+
+    @staticmethod
+    def rangeImageGetDepth(image: Any, width: int, x: int, y: int) -> float:
+        return float(image[y * width + x])
+
+    def saveImage(self, filename: str, quality: int) -> int:
+        """Write a gray picture: white at the largest range."""
+        import numpy as np
+
+        if self._depths is None:
+            return -1
+        gray = np.clip(self._depths / self.getMaxRange(), 0.0, 1.0) * 255
+        return self._save(gray.astype(np.uint8), filename, quality)
+
+
+# Lidars and radars
+
+
+class LidarPoint(NamedTuple):
+    """A point that a lidar met, in its frame (m), its layer, and the simulated time (s) of its
+    measurement."""
+
+    x: float
+    y: float
+    z: float
+    layer_id: int
+    time: float
+
+
+class Lidar(_HasRange):
+    """Distances along rays, row by row from above, each row from the left; infinite beyond the range.
+
+    The rays of a rotating lidar cover the whole circle. In each basic time step, its head turns clockwise by
+    its frequency, and measures the columns that it passes; the others keep their values. Columns that it has
+    not passed yet are 0.
+    """
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        node = spec.node
+        self._columns, self._layers = (
+            max(1, integer(node, field)) for field in ("horizontalResolution", "numberOfLayers")
+        )
+        self._fov, self._high = number(node, "fieldOfView"), number(node, "verticalFieldOfView")
+        self._rotates = text(node, "type") == "rotating"
+        self._frequency = number(node, "defaultFrequency")
+        self._image = [0.0 if self._rotates else nan] * (self._columns * self._layers)
+        self._times = [0.0] * self._columns
+        self._passed = 0.0
+        self._has_points = False
+        self._rays: Any = None
+
+    def _begin(self) -> None:
+        import numpy as np
+
+        if text(self._spec.node, "projection") != "cylindrical":
+            raise NotImplementedCallError("a Lidar with a planar projection is not implemented")
+        width = 2 * math.pi if self._rotates else self._fov
+        yaws = width * (0.5 - (np.arange(self._columns) + 0.5) / self._columns)
+        if self._rotates:
+            yaws = -2 * math.pi * (np.arange(self._columns) + 0.5) / self._columns
+        heights = np.linspace(0.5, -0.5, self._layers) if self._layers > 1 else np.zeros(1)
+        pitch, yaw = np.meshgrid(
+            self._high * heights + number(self._spec.node, "tiltAngle"), yaws, indexing="ij"
+        )
+        parts = (np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch))
+        self._rays = np.stack(parts, axis=-1)
+        """Shape (layers, columns, 3), in the frame of the sensor."""
+
+    def sample(self) -> None:
+        if not self._rotates:
+            self._measure(list(range(self._columns)))
+            return
+        advance = self._frequency * self.period / 1000 * self._columns
+        first, last = math.floor(self._passed), math.floor(self._passed + advance)
+        self._passed = (self._passed + advance) % self._columns
+        count = min(last - first, self._columns)
+        self._measure([column % self._columns for column in range(last - count, last)])
+
+    def _measure(self, columns: list[int]) -> None:
+        """Measure the distances in some columns."""
+        import numpy as np
+
+        if not columns:
+            return
+        start, rotation = self._frame()
+        axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
+        least, most = self.getMinRange(), self.getMaxRange()
+        rays = self._rays[:, columns].reshape(-1, 3) @ axes
+        distances = self._simulation.physics.rays.distances(start, rays, most, self._spec.body.robot)
+        noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
+        now = self._simulation.time / 1000
+        for number_, distance in enumerate(distances):
+            layer, at = divmod(number_, len(columns))
+            value = self._rounded(distance + self._noise(noise)) if distance <= most else math.inf
+            self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
+            self._times[columns[at]] = now
+
+    getRangeImage = returns_list("_image")
+
+    def getLayerRangeImage(self, layer: int) -> list[float]:
+        return self._image[layer * self._columns : (layer + 1) * self._columns]
+
+    def getRangeImageArray(self) -> list[list[float]]:
+        return [self.getLayerRangeImage(layer) for layer in range(self._layers)]
+
+    def enablePointCloud(self) -> None:
+        self._has_points = True
+
+    def disablePointCloud(self) -> None:
+        self._has_points = False
+
+    isPointCloudEnabled = returns("_has_points")
+
+    def getPointCloud(self) -> list[LidarPoint]:
+        """Return the points in the frame of the sensor, in the order of the range image."""
+        return [point for layer in range(self._layers) for point in self.getLayerPointCloud(layer)]
+
+    def getLayerPointCloud(self, layer: int) -> list[LidarPoint]:
+        if not self._has_points or self._rays is None:
+            return []
+        points = zip(self.getLayerRangeImage(layer), self._rays[layer].tolist(), self._times, strict=True)
+        return [
+            LidarPoint(distance * x, distance * y, distance * z, layer, time)
+            for distance, (x, y, z), time in points
+        ]
+
+    def getNumberOfPoints(self) -> int:
+        return self._columns * self._layers
+
+    getHorizontalResolution = returns("_columns")
+    getNumberOfLayers = returns("_layers")
+    getFov = returns("_fov")
+    getVerticalFov = returns("_high")
+
+    def getFrequency(self) -> float:
+        """Return the rotations of the head per second."""
+        return self._frequency
+
+    def setFrequency(self, frequency: float) -> None:
+        low, high = self.getMinFrequency(), self.getMaxFrequency()
+        if not low <= frequency <= high:
+            self._warn(f"the frequency {frequency:g} Hz is outside {low:g} .. {high:g}, and is limited")
+        self._frequency = min(max(float(frequency), low), high)
+
+    getMinFrequency = returns_number("minFrequency")
+    getMaxFrequency = returns_number("maxFrequency")
+
+
+LIGHT_SPEED = 299_792_458.0
+"""In m/s."""
+
+
+@dataclass
+class RadarTarget:
+    """The measurement of a solid by a radar: the distance (m), the power that came back (dBm), the radial
+    speed (m/s, positive for one that moves away), and the azimuth (rad, positive to the right)."""
+
+    distance: float
+    received_power: float
+    speed: float
+    azimuth: float
+
+
+class Radar(_HasRange):
+    """Solids with a `radarCrossSection` within the range and the field of view."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._targets: list[RadarTarget] = []
+        node = spec.node
+        sent = _milliwatts(number(node, "transmittedPower"))
+        gain = 10 ** (number(node, "antennaGain") / 10)
+        frequency = number(node, "frequency") * 1e9
+        wavelength = LIGHT_SPEED / frequency if frequency > 0 else 0.0
+        # The radar equation: P = Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4).
+        self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
+        """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
+
+    getHorizontalFov = returns_number("horizontalFieldOfView")
+    getVerticalFov = returns_number("verticalFieldOfView")
+
+    def getNumberOfTargets(self) -> int:
+        return len(self._targets)
+
+    getTargets = returns_list("_targets")
+
+    def forget(self) -> None:
+        self._targets = []
+
+    def sample(self) -> None:
+        candidates = [self._target(solid) for solid in self._simulation.scene.radar_targets]
+        targets = self._merged([target for target in candidates if target is not None])
+        for target in targets:
+            target.received_power = 10 * math.log10(target.received_power)
+        self._targets = targets
+
+    def _target(self, solid: Node) -> RadarTarget | None:
+        """Return the measurement of a solid, with the power in mW; None if the radar does not see it.
+
+        The radar sees a solid if a part of the ball around its bounding object is within the range and the
+        field of view. The measurement is that of the origin of the solid, limited to the range and the field
+        of view.
+        """
+        node, physics = self._spec.node, self._simulation.physics
+        if solid is node:
+            return None
+        position, rotation = self._frame()
+        body, frame_in_body = self._simulation.scene.attachments[solid]
+        offset = frames.subtract(physics.position(body, frame_in_body), position)
+        distance, radius = math.hypot(*offset), physics.radius(solid)
+        near, far = self.getMinRange(), self.getMaxRange()
+        if distance == 0 or distance - radius > far or distance + radius < near:
+            return None
+        x, y, z = frames.rotate_back(rotation, offset)
+        azimuth, elevation = -math.atan2(y, x), math.atan2(z, math.hypot(x, y))
+        # Half the angle under which the ball appears.
+        share = math.asin(min(1.0, radius / distance))
+        half = self.getHorizontalFov() / 2
+        if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
+            return None
+        if boolean(node, "occlusion") and self._is_hidden(solid, offset, distance):
+            return None
+        measured = distance + self._noise(number(node, "rangeNoise"))
+        measured = min(max(measured, near), far)
+        power = self._power * number(solid, "radarCrossSection") / max(measured, 1e-9) ** 4
+        if power <= 0 or power < _milliwatts(number(node, "minDetectableSignal")):
+            return None
+        velocity, target_velocity = (
+            physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, frame_in_body))
+        )
+        speed = frames.dot(frames.subtract(target_velocity, velocity), offset) / distance + self._noise(
+            number(node, "speedNoise")
+        )
+        if not self._sees_speed(speed):
+            return None
+        azimuth = min(max(azimuth, -half), half) + self._noise(number(node, "angularNoise"))
+        return RadarTarget(measured, power, speed, azimuth)
+
+    def _sees_speed(self, speed: float) -> bool:
+        node = self._spec.node
+        low, high = number(node, "minRadialSpeed"), number(node, "maxRadialSpeed")
+        if (low or high) and not low <= speed <= high:
+            return False
+        return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
+
+    def _is_hidden(self, solid: Node, offset: tuple[float, float, float], distance: float) -> bool:
+        """Return whether something is between the radar and a solid."""
+        physics = self._simulation.physics
+        unit = frames.scaled(offset, 1 / distance)
+        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
+        return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.attachments[solid][0]
+
+    def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:
+        """Merge targets that the radar cannot tell apart: into their means, weighted by power."""
+        node = self._spec.node
+        cell, cell_speed = number(node, "cellDistance"), number(node, "cellSpeed")
+        if cell <= 0:
+            return targets
+        merged: list[RadarTarget] = []
+        while targets:
+            first, *others = targets
+            same = [
+                other
+                for other in others
+                if abs(other.distance - first.distance) < cell
+                and (cell_speed <= 0 or abs(other.speed - first.speed) < cell_speed)
+            ]
+            targets = [other for other in others if other not in same]
+            merged.append(_mean([first, *same]))
+        return merged
+
+
+def _mean(targets: list[RadarTarget]) -> RadarTarget:
+    powers = [target.received_power for target in targets]
+    total = sum(powers)
+    distance, speed, azimuth = (
+        sum(getattr(target, name) * power for target, power in zip(targets, powers, strict=True)) / total
+        for name in ("distance", "speed", "azimuth")
+    )
+    return RadarTarget(distance, total, speed, azimuth)
+
+
+def _milliwatts(dbm: float) -> float:
+    return float(10 ** (dbm / 10))

@@ -1,0 +1,531 @@
+"""A project of Webots as one record: its devices as sensors and motors, and the Python that a person writes
+anew. `starter.py` writes it as a scenario.
+
+The Python of controllers: classes of deepbots, lines that a scenario quotes, plain constants. Nothing of it
+runs, and no value is followed from statement to statement: a number is constant if it is written as one, in a
+method that the files of the controller write exactly once.
+"""
+
+from __future__ import annotations
+
+import ast
+import textwrap
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import field
+from functools import cached_property
+from math import hypot, isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
+from deepbots_webots.imports.world import (
+    Built,
+    Names,
+    RobotParts,
+    Surroundings,
+    build,
+    plain,
+    pose_of,
+    robot_parts,
+    surroundings,
+)
+from deepbots_webots.nodes import integer, number, real, text, vectors, walk
+from deepbots_webots.project import programs, read_world
+from deepbots_webots.scene import build_scene
+
+if TYPE_CHECKING:
+    from deepbots_cli.diagnostics import Span
+    from deepbots_webots.project import Files, World
+    from deepbots_webots.scene import Body, Device, Robot, Scene
+    from deepbots_webots.syntax import Node, WorldFindings
+
+MAX_FILES = 30
+MAX_CHARACTERS = 300_000
+MAX_CLASSES = 500
+MAX_BASES = 8
+MAX_VALUES = 100
+"""The maximum numbers of files and their characters, of classes and their bases, and of values."""
+MAX_LINES = 60
+"""The maximum number of lines of a quote."""
+
+ROBOT_BASES = frozenset(
+    ["CSVRobot", "EmitterReceiverRobot", "RobotEmitterReceiverCSV", "RobotEmitterReceiver", "DeepbotsRobot"]
+)
+SUPERVISOR_BASES = frozenset(
+    ["CSVSupervisorEnv", "EmitterReceiverSupervisorEnv", "SupervisorCSV", "SupervisorEmitterReceiver"]
+)
+BOTH_BASES = frozenset(["RobotSupervisorEnv", "RobotSupervisor"])
+_NORMALIZE = frozenset(["normalize_to_range", "normalizeToRange"])
+_BINDS_UNSEEN = frozenset(["setattr", "exec", "eval", "globals", "vars", "__dict__"])
+"""Names of Python that may bind names which the files do not show."""
+
+
+@dataclass(frozen=True)
+class Quote:
+    """Python that is left to a person: what it is about, such as `the reward`, its location, its lines."""
+
+    about: str
+    location: str = ""
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(eq=False)
+class Module:
+    """A Python file of a controller; `file` is its path in the folder of the controller."""
+
+    file: str
+    name: str
+    lines: list[str]
+    tree: ast.Module
+
+    @cached_property
+    def aliases(self) -> dict[str, str]:
+        """The names of classes and functions in their own modules, by their names in this one."""
+        imports = (node for node in ast.walk(self.tree) if isinstance(node, ast.Import | ast.ImportFrom))
+        pairs = ((alias.asname, alias.name) for node in imports for alias in node.names)
+        return {asname: name.rpartition(".")[2] for asname, name in pairs if asname}
+
+    def resolved(self, node: ast.expr) -> str:
+        """Return the name of a class or function without its module."""
+        return self.aliases.get(_last_name(node), _last_name(node))
+
+    @cached_property
+    def classes(self) -> list[ast.ClassDef]:
+        return [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef)]
+
+
+@dataclass(frozen=True)
+class Normalized:
+    """A call of `normalize_to_range` with a constant range; `name` is that of its result, or ""."""
+
+    name: str
+    location: str
+    low: float
+    high: float
+    clips: bool
+
+
+@dataclass(eq=False)
+class Controller:
+    """A class derived from one of deepbots, with the methods of its bases in the project."""
+
+    name: str
+    modules: Sequence[Module]
+    nodes: list[ast.ClassDef] = field(default_factory=list)
+    """The class, and its bases in the project."""
+    methods: dict[str, tuple[Module, ast.FunctionDef]] = field(default_factory=dict)
+
+    def quote(self, method: str, about: str) -> Quote:
+        """Return a method of the class with its lines."""
+        module, function = self.methods[method]
+        lines = _source(module, _body(function))
+        return Quote(about, f"{module.file}:{function.lineno}: def {method}", lines)
+
+    def returned(self, method: str) -> ast.expr | None:
+        """Return what a method returns that has no other statement; None for any other method."""
+        _, function = self.methods[method]
+        match _body(function):
+            case [ast.Return(value=value)] if self._is_plain(method):
+                return value
+        return None
+
+    def _is_plain(self, method: str) -> bool:
+        """Return whether the files write a method exactly once, without a decorator, and nothing in its
+        place."""
+        definitions = 0
+        for node in (each for module in self.modules for each in ast.walk(module.tree)):
+            match node:
+                case ast.Name(id=name) | ast.Attribute(attr=name) if name in _BINDS_UNSEEN:
+                    return False
+                case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                    definitions += name == method
+                case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+                    definitions += name == method
+        return definitions == 1 and not self.methods[method][1].decorator_list
+
+    def normalized(self) -> list[Normalized]:
+        """Return the calls in `get_observations` that map a constant range to another, in their order."""
+        if "get_observations" not in self.methods or not self._is_plain("get_observations"):
+            return []
+        module, function = self.methods["get_observations"]
+        names = {
+            statement.value: statement.targets[0].id
+            for statement in ast.walk(function)
+            if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name)
+        }
+        calls = [
+            node
+            for node in ast.walk(function)
+            if isinstance(node, ast.Call) and module.resolved(node.func) in _NORMALIZE
+        ]
+        calls.sort(key=lambda call: (call.lineno, call.col_offset))
+        read = (self._normalized(module, call, names.get(call, "")) for call in calls[:MAX_VALUES])
+        return [normalized for normalized in read if normalized is not None]
+
+    def _normalized(self, module: Module, call: ast.Call, name: str) -> Normalized | None:
+        keywords = {keyword.arg: keyword.value for keyword in call.keywords}
+        given = dict(
+            zip(("value", "min_val", "max_val", "new_min", "new_max", "clip"), call.args, strict=False)
+        )
+        arguments = given | keywords
+        low, high = stated_number(arguments.get("min_val")), stated_number(arguments.get("max_val"))
+        if low is None or high is None or not low < high or None in keywords:
+            return None
+        match arguments.get("clip", ast.Constant(False)):
+            case ast.Constant(value=clips):
+                return Normalized(name, f"{module.file}:{call.lineno}", low, high, bool(clips))
+        return None
+
+
+def stated_number(node: ast.expr | None) -> float | None:
+    """Return the number that an expression is; None for any other expression."""
+    match node:
+        case ast.Constant(value=int() | float() as value) if type(value) is not bool and isfinite(value):
+            return value
+        case ast.UnaryOp(op=ast.USub(), operand=ast.Constant() as operand):
+            positive = stated_number(operand)
+            return None if positive is None else -positive
+    return None
+
+
+def _body(function: ast.FunctionDef) -> list[ast.stmt]:
+    """Return the statements of a function without its docstring."""
+    return function.body[1:] if ast.get_docstring(function) is not None else function.body
+
+
+def _source(module: Module, nodes: Sequence[ast.stmt | ast.expr]) -> tuple[str, ...]:
+    """Return the lines of the file from the first to the last node."""
+    if not nodes:
+        return ()
+    lines = module.lines[nodes[0].lineno - 1 : nodes[-1].end_lineno]
+    shown = textwrap.dedent("\n".join(line.expandtabs(4) for line in lines)).splitlines()
+    return (*shown[:MAX_LINES], "...") if len(shown) > MAX_LINES else tuple(shown)
+
+
+def _last_name(node: ast.expr) -> str:
+    """Return the name of a class or function without its module."""
+    if isinstance(node, ast.Attribute):
+        return node.attr
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+# Classes
+
+
+Classes = dict[str, list[tuple[Module, ast.ClassDef]]]
+
+
+def controllers(modules: Sequence[Module], bases: frozenset[str]) -> list[Controller]:
+    """Return the classes that derive from one of these, and from which no other class does."""
+    classes: Classes = {}
+    for module in modules:
+        for node in module.classes:
+            classes.setdefault(node.name, []).append((module, node))
+    found = []
+    for module, node in [pair for pairs in classes.values() for pair in pairs][:MAX_CLASSES]:
+        controller = Controller(node.name, modules)
+        if _collect(controller, module, node, bases, classes):
+            found.append(controller)
+    further = {id(base) for controller in found for base in controller.nodes[1:]}
+    return [controller for controller in found if id(controller.nodes[0]) not in further]
+
+
+def _collect(
+    controller: Controller, module: Module, node: ast.ClassDef, bases: frozenset[str], classes: Classes
+) -> bool:
+    """Add the methods of a class and of its bases; return whether one of them is a class of deepbots."""
+    controller.nodes.append(node)
+    own = {each.name: (module, each) for each in node.body if isinstance(each, ast.FunctionDef)}
+    controller.methods = own | controller.methods
+    names = [module.resolved(base) for base in node.bases]
+    is_found = not bases.isdisjoint(names)
+    for name in names[:MAX_BASES]:
+        others = [pair for pair in classes.get(name, ())[:MAX_FILES] if pair[1] not in controller.nodes]
+        if others and len(controller.nodes) <= MAX_BASES:
+            owner, inner = min(others, key=lambda pair: pair[0] is not module)
+            is_found |= _collect(controller, owner, inner, bases, classes)
+    return is_found
+
+
+# Files
+
+
+def texts_of(modules: Sequence[Module]) -> set[str]:
+    """Return all texts of Python files, among them the names of nodes and of devices."""
+    nodes = (node for module in modules for node in ast.walk(module.tree))
+    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+
+
+def read_modules(files: Files, path: Path, span: Span, findings: WorldFindings) -> list[Module]:
+    """Return the Python file of a controller and those of its folder that it imports, also through others."""
+    folder = path.parent
+    modules: dict[Path, Module | None] = {}
+    waiting = [path]
+    while waiting and len(modules) < MAX_FILES:
+        path = waiting.pop(0)
+        if path not in modules:
+            module = modules[path] = _read(files, path, folder, span, findings)
+            waiting += _imported_files(module, {path.parent, folder}) if module is not None else ()
+    return [module for module in modules.values() if module is not None]
+
+
+def _imported_files(module: Module, folders: set[Path]) -> Iterator[Path]:
+    for node in ast.walk(module.tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            package = getattr(node, "module", None) or ""
+            for name in (package, *(f"{package}.{alias.name}".strip(".") for alias in node.names)):
+                for folder in sorted(folders) if name else ():
+                    inner = folder.joinpath(*name.split("."))
+                    yield from (
+                        file for file in (inner.with_suffix(".py"), inner / "__init__.py") if file.is_file()
+                    )
+
+
+def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFindings) -> Module | None:
+    """Return a Python file; None with a finding if it is not Python, or too large."""
+    file = str(path.relative_to(folder))
+    try:
+        text = files.read(path).text
+    except UsageError as error:
+        findings.warning(span, str(error))
+        return None
+    if len(text) > MAX_CHARACTERS:
+        findings.warning(span, f"{file} has more than {MAX_CHARACTERS:,} characters; it is not read")
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as one about an unknown escape in a text
+            tree = ast.parse(text)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        reason = error.msg if isinstance(error, SyntaxError) else "it is nested too deeply, or is no text"
+        line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
+        findings.warning(span, f"{file}{line} is not read: {reason}")
+        return None
+    name = path.parent.name if path.stem == "__init__" else path.stem
+    return Module(file, name, text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), tree)
+
+
+# Devices
+
+_RAYS = {"infra-red": "infrared", "sonar": "sonar", "laser": "laser", "generic": "laser"}
+_ON_LINKS = {
+    "Gyro": "gyro",
+    "Accelerometer": "accelerometer",
+    "GPS": "position",
+    "InertialUnit": "orientation",
+    "Compass": "compass",
+}
+SENSING = frozenset(
+    ["Altimeter", "Camera", "DistanceSensor", "Lidar", "LightSensor", "Microphone", "Radar", "RangeFinder"]
+)
+"""The devices that measure, and of which at least some have no counterpart."""
+_WORDS = {
+    "getPosition": "position(BODY)",
+    "getOrientation": "roll(BODY), pitch(BODY), yaw(BODY) or tilt(BODY)",
+    "getVelocity": "velocity(BODY) and angular_velocity(BODY)",
+    "getContactPoints": "contact(BODY, OTHER) or collided(BODY)",
+    "getTime": "time",
+}
+"""What the language has for functions of Webots."""
+
+
+def sensor_text(device: Device, parts: RobotParts) -> str | None:
+    """Return the sensor for a device as YAML; None where the language has no counterpart."""
+    mount = f"link: {parts.link_of(device.body)}{_pose(device, parts)}"
+    match device.type:
+        case "PositionSensor" if device.joint is not None:
+            unit = "m" if device.joint.kind == "slide" else "rad"
+            accuracy = "".join(
+                f", {name}: {plain(number(device.node, name))} {unit}"
+                for name in ("noise", "resolution")
+                if number(device.node, name) > 0
+            )
+            return f"{{type: joint_position, joint: {parts.joints[id(device.joint)]}{accuracy}}}"
+        case "TouchSensor":
+            kind = "touch" if text(device.node, "type") == "bumper" else "force"
+            return f"{{type: {kind}, link: {parts.link_of(device.body)}}}"
+        case "DistanceSensor" if text(device.node, "type") in _RAYS:
+            return _distance(device.node, mount)
+        case kind if kind in _ON_LINKS:
+            return f"{{type: {_ON_LINKS[kind]}, {mount}}}"
+    return None
+
+
+def _pose(device: Device, parts: RobotParts) -> str:
+    pose = pose_of(parts.frame_in_link(device.body, device.frame))
+    entries = ((pose.xyz, f"xyz: {plain(*pose.xyz)} m"), (pose.rpy, f"rpy: {plain(*pose.rpy)} rad"))
+    pose_entries = [entry for value, entry in entries if hypot(*value) > 1e-9]
+    return f", pose: {{{', '.join(pose_entries)}}}" if pose_entries else ""
+
+
+def _distance(node: Node, mount: str) -> str | None:
+    """Return a sensor of rays with its table; readings of Webots are those of the table."""
+    kind = _RAYS[text(node, "type")]
+    table = vectors(node, "lookupTable")
+    distances = [row[0] for row in table]
+    if len(table) < 2 or distances != sorted(set(distances)) or distances[0] < 0:
+        return None
+    parts = [f"type: {kind}", mount]
+    count = min(integer(node, "numberOfRays"), 100)
+    aperture = number(node, "aperture")
+    if count > 1 and aperture > 0:
+        half = plain(aperture / 2)
+        measure = "nearest" if kind == "sonar" else "mean"
+        parts.append(f"rays: {count}, angle_range: {half} .. -{half} rad, measure: {measure}")
+    values, noises = [row[1] for row in table], [row[2] for row in table]
+    lookup = f"distance: {plain(*distances)} m, value: {plain(*values)}"
+    if any(noises):
+        lookup += f", noise: {plain(*(100 * abs(noise) for noise in noises))} %"
+    return f"{{{', '.join([*parts, f'lookup: {{{lookup}}}'])}}}"
+
+
+@dataclass
+class DraftRobot:
+    """A robot of the scenario: its model, and the entries of its section as pairs of name and YAML."""
+
+    name: str
+    parts: RobotParts
+    robot: Robot | None
+    built: Built
+    controller: Controller | None = None
+    """Its class of deepbots, if it has one."""
+    sensors: dict[str, str] = field(default_factory=dict)
+    unused: dict[str, str] = field(default_factory=dict)
+    """The sensors that the project does not name."""
+    left_out: list[str] = field(default_factory=list)
+    """The devices that measure, and for which deepbots has no such sensor."""
+    readings: dict[str, str] = field(default_factory=dict)
+    """Names of sensors by the names of devices."""
+    motors: dict[str, tuple[str, str]] = field(default_factory=dict)
+    """The joints of motors, and their highest speeds."""
+
+    def add_devices(self, texts: set[str]) -> None:
+        """Add the sensors and motors for the devices of the robot; `texts` are those of the project."""
+        names = Names()
+        for device in self.robot.devices.values() if self.robot is not None else ():
+            sensor = sensor_text(device, self.parts)
+            if sensor is not None:
+                name = self.readings[device.name] = names.new(device.name, "sensor")
+                (self.sensors if device.name in texts else self.unused)[name] = sensor
+            elif device.type in SENSING:
+                self.left_out.append(f"{device.name} ({device.type})")
+            elif device.joint is not None and device.type.endswith("Motor"):
+                unit = "m/s" if device.type == "LinearMotor" else "rad/s"
+                speed = f"{plain(number(device.node, 'maxVelocity') or 1.0)} {unit}"
+                self.motors[names.new(device.name, "motor")] = (self.parts.joints[id(device.joint)], speed)
+
+
+@dataclass
+class Draft:
+    """A project in parts. `agent` is the robot that the policy drives, `judge` the class that scores it."""
+
+    world_file: str
+    surroundings: Surroundings
+    robots: list[DraftRobot]
+    agent: DraftRobot
+    judge: Controller | None
+    has_messages: bool
+    bodies: dict[str, str]
+    """How expressions name the nodes that the controllers name."""
+    findings: WorldFindings
+
+    def names(self) -> list[str]:
+        """Return what names in the Python of the project are in the scenario."""
+        bodies = [f"{label}: {name}" for label, name in self.bodies.items()]
+        readings = [
+            f"{device}: {self.agent.name}.{name}"
+            for device, name in self.agent.readings.items()
+            if name in self.agent.sensors
+        ]
+        module_lines = self.judge.modules if self.judge is not None else ()
+        python = "\n".join(line for module in module_lines for line in module.lines)
+        words = [f"{name}(): {word}" for name, word in _WORDS.items() if f"{name}(" in python]
+        return [*bodies, *readings, *words]
+
+
+def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
+    """Read a world and its controllers; no code runs.
+
+    Raises:
+        WorldError: The world has errors.
+        UsageError: A file cannot be read, or no robot of the world has a motor.
+    """
+    world = read_world(path, library)
+    scene = build_scene(world)
+    world.findings.require_none()
+    roots = _roots(scene)
+    modules = _modules(world, scene)
+    texts = texts_of([module for each in modules.values() for module in each])
+    acting, judge, has_messages = _roles(scene, roots, modules)
+    if not acting:
+        raise UsageError(f"no robot of {world.path} has a motor, so a policy could not control it")
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    used = [node for node, label in labels.items() if label in texts]
+    names = Names()
+    robots, bodies = [], {}
+    for index, root in roots.items():
+        if not root.geometries and not any(body.parent is root for body in scene.bodies):
+            continue  # a supervisor
+        robot = scene.robots[index]
+        parts = robot_parts(scene, root, names.new(labels.get(root.node) or robot.name, "robot"))
+        built = build(parts, scene, [node for node in used if node in parts.links], world.findings)
+        robots.append(DraftRobot(parts.name, parts, root.robot, built, acting.get(index)))
+        for node, link in parts.links.items():
+            bodies[node] = parts.name if node is root.node else f"{parts.name}.{link}"
+    objects = {
+        body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
+        for body in scene.bodies
+        if body.robot is None and body.parent is None
+    }
+    world.findings.require_none()
+    agent = next(each for each in robots if each.robot is not None and each.robot.index in acting)
+    for draft_robot in robots:
+        draft_robot.add_devices(texts)
+    around = surroundings(world, scene, objects, used, scene.basic_step)
+    bodies |= {scene.bodies[index].node: name for index, name in objects.items() if name in around.objects}
+    named = {labels[node]: bodies[node] for node in used if node in bodies}
+    return Draft(path.name, around, robots, agent, judge, has_messages, named, world.findings)
+
+
+def _roots(scene: Scene) -> dict[int, Body]:
+    """Return the root body of each robot by the index of the robot."""
+    roots: dict[int, Body] = {}
+    for body in scene.bodies:
+        if body.robot is not None and body.parent is None:
+            roots.setdefault(body.robot.index, body)
+    return roots
+
+
+def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:
+    """Return the Python files of the controllers by the index of the robot."""
+    modules: dict[int, list[Module]] = {robot.index: [] for robot in scene.robots}
+    for robot, program in programs(world.files, scene.robots):
+        span = robot.node.span
+        if program.remark:
+            text = f"the controller '{program.name}' of '{robot.name}' {program.remark}"
+            world.findings.warning(span, text)
+        if program.path is not None:
+            modules[robot.index] = read_modules(world.files, program.path, span, world.findings)
+    return modules
+
+
+def _roles(
+    scene: Scene, roots: dict[int, Body], modules: dict[int, list[Module]]
+) -> tuple[dict[int, Controller | None], Controller | None, bool]:
+    """Return the classes of the robots that act, by the index of the robot, the class that judges, and
+    whether they send messages."""
+    with_motors = [
+        robot.index
+        for robot in scene.robots
+        if robot.index in roots and any(device.type.endswith("Motor") for device in robot.devices.values())
+    ]
+    for index in with_motors:
+        for both in controllers(modules[index], BOTH_BASES):
+            return {index: both}, both, False
+    acting: dict[int, Controller | None] = {
+        index: classes[0] for index in with_motors if (classes := controllers(modules[index], ROBOT_BASES))
+    }
+    judges = [judge for each in modules.values() for judge in controllers(each, SUPERVISOR_BASES)]
+    return acting or dict.fromkeys(with_motors[:1]), next(iter(judges), None), True

@@ -1,0 +1,536 @@
+"""The world of a project: the bodies of its robots as robot models, its surroundings as entries of a
+scenario, and their names.
+
+A link has its origin at the anchor of its joint, as URDF asks for; a body of Webots has it anywhere. Joint
+positions are those of Webots: the world shows a joint at its `position`, and the model has it at 0.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Sequence
+from dataclasses import field, replace
+from io import BytesIO
+from itertools import chain, count
+from math import hypot, inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.records import dataclass
+from deepbots_cli.robots import model as urdf
+from deepbots_cli.scenario.fields import RESERVED, suggested_name
+from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
+from deepbots_webots.scene import ORIGIN
+from deepbots_webots.shapes import Grid, Mesh, Plane, color_of, inverse, kind_of, visible_shape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from deepbots_cli.frames import Frame
+    from deepbots_webots.project import World
+    from deepbots_webots.scene import Body, Geometry, Inertia, Joint, Scene, Visual
+    from deepbots_webots.shapes import Shape
+    from deepbots_webots.syntax import Node, WorldFindings
+
+
+_WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
+_RESERVED = _WORDS_OF_YAML | RESERVED
+_COMPONENTS = frozenset("xyz")
+_MAX_LENGTH = 40
+
+
+def scenario_name(text: str, fallback: str = "part") -> str:
+    """Return a name of the scenario language for a name of Webots or Python: `polePosSensor` becomes
+    `pole_pos_sensor`."""
+    name = re.sub("__+", "_", suggested_name(text))[:_MAX_LENGTH].strip("_") or fallback
+    is_taken = name in _RESERVED or name in _COMPONENTS
+    return f"{fallback}_{name}" if is_taken or name[0].isdigit() else name
+
+
+class Names:
+    """Gives names that differ from each other."""
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+
+    def new(self, text: str, fallback: str = "part") -> str:
+        """Return a name that was not returned before."""
+        name = scenario_name(text, fallback)
+        names = chain([name], (f"{name}_{number}" for number in count(2)))
+        unused = next(each for each in names if each not in self._taken)
+        self._taken.add(unused)
+        return unused
+
+
+_LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
+"""A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
+_MAX_FACES = 20_000  # triangles of the visible meshes of a link
+_EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
+
+
+@dataclass
+class Built:
+    """A robot model with what the scenario says about it.
+
+    `starts` maps joint names to positions (rad or m) other than 0, and `meshes` paths of mesh files to their
+    content.
+    """
+
+    model: urdf.RobotModel
+    starts: dict[str, float] = field(default_factory=dict)
+    meshes: dict[str, bytes] = field(default_factory=dict)
+
+
+@dataclass
+class RobotParts:
+    """The bodies of one robot, and names for its links and joints."""
+
+    name: str
+    bodies: list[Body]
+    links: dict[Node, str]
+    """Names of links by solid: of bodies, and of solids fixed to them."""
+    joints: dict[int, str]
+    """Names of joints by `id` of the joint of the scene."""
+
+    @property
+    def root(self) -> Body:
+        return self.bodies[0]
+
+    def link_of(self, body: Body) -> str:
+        return self.links[body.node]
+
+    def frame_in_link(self, body: Body, frame: Frame) -> Frame:
+        """Return a frame of a body in the frame of its link."""
+        return frames.compose(inverse(_link_frame(body)), frame)
+
+
+def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
+    """Return the bodies below a root, parents first, with names for their links and joints."""
+    bodies, members = [root], {root.index}
+    for body in scene.bodies:
+        if body.parent is not None and body.parent.index in members:
+            bodies.append(body)
+            members.add(body.index)
+    names = Names()
+    links: dict[Node, str] = {}
+    joints: dict[int, str] = {}
+    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
+    for body in bodies:
+        links[body.node] = names.new(labels.get(body.node) or text(body.node, "name"), "link")
+        for joint in body.joints:
+            joints[id(joint)] = names.new(_joint_label(joint, links[body.node]), "joint")
+    fixed = [(node, body) for node, (body, _) in scene.attachments.items() if body.index in members]
+    for node, _ in fixed:
+        if node not in links and is_a(node, "Solid") and labels.get(node):
+            links[node] = names.new(labels[node], "link")
+    return RobotParts(name, bodies, links, joints)
+
+
+def _joint_label(joint: Joint, link: str) -> str:
+    if joint.motor is not None and text(joint.motor, "name"):
+        return f"{text(joint.motor, 'name')}_joint"
+    return f"{link}_joint"
+
+
+def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: WorldFindings) -> Built:
+    """Return the model of a robot; the solids of `split`, which are fixed to a body, become links."""
+    built = Built(urdf.RobotModel(parts.name, (), (), parts.link_of(parts.root)))
+    links: list[urdf.Link] = []
+    joints: list[urdf.Joint] = []
+    for body in parts.bodies:
+        if body.parent is not None:
+            middle, more = _joints(parts, body, built, findings)
+            links += middle
+            joints += more
+        fixed = [node for node in split if node in parts.links and node is not body.node]
+        fixed = [node for node in fixed if scene.attachments[node][0] is body]
+        solids = {inner: node for node in fixed for inner in walk([node])}
+        for node in (body.node, *fixed):
+            solid, frame = (
+                (None, _link_frame(body)) if node is body.node else (node, scene.attachments[node][1])
+            )
+            geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
+            visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
+            inertias = body.inertias if solid is None else ()
+            link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
+            links.append(_as_seen(link, visuals, inverse(frame), built, scene))
+            if solid is not None:
+                name, pose = f"{link.name}_fixed", pose_of(parts.frame_in_link(body, frame))
+                joints.append(urdf.Joint(name, "fixed", parts.link_of(body), link.name, pose))
+    built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
+    return built
+
+
+# Links
+
+
+def _as_seen(
+    link: urdf.Link, visuals: Sequence[Visual], origin: Frame, built: Built, scene: Scene
+) -> urdf.Link:
+    """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
+    shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
+    drawn = [(visual, shape) for visual, shape in shapes if not isinstance(shape, Plane | Grid | None)]
+    if not drawn or sum(len(shape.faces) for _, shape in drawn if isinstance(shape, Mesh)) > _MAX_FACES:
+        return link
+    geometries = []
+    for visual, shape in drawn:
+        geometry = _shape(shape, built, f"{link.name}_visual")
+        if geometry is not None:
+            red, green, blue, opacity = map(_unit, color_of(visual.node, scene.files))
+            pose = pose_of(frames.compose(origin, visual.frame))
+            geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
+    return replace(link, visuals=tuple(geometries))
+
+
+def _link(
+    name: str,
+    origin: Frame,
+    geometries: Sequence[Geometry],
+    inertias: Sequence[Inertia],
+    built: Built,
+    scene: Scene,
+    findings: WorldFindings,
+) -> urdf.Link:
+    """Return a link with these bounding objects and inertias; `origin` is the frame of the body in it."""
+    masses = [
+        _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix) for inertia in inertias
+    ]
+    shapes: list[urdf.Geometry] = []
+    for geometry in geometries:
+        pose = pose_of(frames.compose(origin, geometry.frame))
+        shape = _shape(geometry.shape, built, name)
+        if shape is None:
+            findings.warning(geometry.owner.span, f"a {kind_of(geometry.shape)} of a robot is left out")
+            continue
+        shapes.append(urdf.Geometry(shape, pose))
+        if geometry.mass > 0:
+            masses.append(_homogeneous(geometry.shape, geometry.mass, pose))
+    if not masses and name != built.model.root:
+        masses = [_LIGHT]
+    friction = urdf.Friction(lateral=_friction(geometries, scene))
+    inertial = urdf.combined(masses) if masses else None
+    return urdf.Link(name, inertial, tuple(shapes), tuple(shapes), friction)
+
+
+def _friction(geometries: Sequence[Geometry], scene: Scene) -> float | None:
+    """Return the friction of a material with the default one, if the world names it."""
+    values = (scene.contact(geometry.material, "default").friction for geometry in geometries)
+    return next((value for value in values if value != 1.0), None)
+
+
+def _unit(value: float) -> float:
+    return round(min(max(value, 0.0), 1.0), 3)
+
+
+def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
+    """Return a shape of URDF, with the file of a mesh; None for a plane or a grid."""
+    match shape:
+        case Plane() | Grid():
+            return None
+        case Mesh():
+            content = _stl(shape)
+            path = f"{built.model.name}_{link}_{len(built.meshes)}.stl"
+            built.meshes[path] = content
+            return urdf.Mesh(path, hashlib.sha256(content).hexdigest())
+    return shape
+
+
+def _stl(mesh: Mesh) -> bytes:
+    """Return the triangles of a mesh as a binary STL file."""
+    facets = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = mesh.vertices[mesh.faces]
+    return b"\0" * 80 + len(facets).to_bytes(4, "little") + facets.tobytes()
+
+
+# Masses
+
+
+def _homogeneous(shape: Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
+    if isinstance(shape, Mesh):  # the inertia of the box around it; its convex hull collides
+        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+        x, y, z = ((high + low) / 2).tolist()
+        pose = pose_of(frames.compose(frames.frame(pose), ((x, y, z), frames.IDENTITY_ROTATION)))
+        x, y, z = (high - low).tolist()
+        shape = urdf.Box((x, y, z))
+    assert not isinstance(shape, Plane | Grid)  # they have no mass
+    inertial = urdf.homogeneous_inertial(shape, mass, pose)
+    assert inertial is not None
+    return inertial
+
+
+def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
+    xx, yy, zz, xy, xz, yz = matrix
+    return urdf.Inertial(mass, pose_of(frame), xx, xy, xz, yy, yz, zz)
+
+
+# Joints
+
+
+def _joints(
+    parts: RobotParts, body: Body, built: Built, findings: WorldFindings
+) -> tuple[list[urdf.Link], list[urdf.Joint]]:
+    """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
+    assert body.parent is not None
+    above = parts.link_of(body.parent)
+    frame = frames.compose(inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
+    links: list[urdf.Link] = []
+    joints: list[urdf.Joint] = []
+    if body.joints and body.joints[0].kind == "ball":
+        findings.error(body.node.span, "a BallJoint in a robot has no counterpart in URDF")
+    for position, joint in enumerate(body.joints):
+        is_last = position == len(body.joints) - 1
+        below = parts.link_of(body) if is_last else f"{parts.joints[id(joint)]}_link"
+        if not is_last:
+            links.append(urdf.Link(below, _LIGHT))
+        name = parts.joints[id(joint)]
+        if abs(joint.position) > 1e-6:
+            built.starts[name] = joint.position
+        joints.append(_joint(name, joint, above, below, _at_zero(frame, joint)))
+        above, frame = below, ORIGIN
+    return links, joints
+
+
+def _at_zero(frame: Frame, joint: Joint) -> Frame:
+    """Return the frame of a joint at the position 0."""
+    if joint.kind == "hinge":
+        rotation = frames.from_axis_angle(joint.axis, -joint.position)
+        return frames.compose(frame, ((0.0, 0.0, 0.0), rotation))
+    back = frames.scaled(joint.axis, -joint.position)
+    return frames.compose(frame, (back, frames.IDENTITY_ROTATION))
+
+
+def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
+    low, high = _limits(joint)
+    x, y, z = joint.axis
+    velocity = effort = None
+    if joint.motor is not None:
+        is_linear = joint.motor.type == "LinearMotor"
+        velocity = number(joint.motor, "maxVelocity")
+        effort = number(joint.motor, "maxForce" if is_linear else "maxTorque")
+    kind: urdf.JointType = "prismatic"
+    if joint.kind != "slide":
+        kind = "continuous" if low is None else "revolute"
+    limit = urdf.Limit(low, high, velocity, effort if effort != -1 else None)
+    return urdf.Joint(
+        name,
+        kind,
+        above,
+        below,
+        pose_of(frame),
+        (_rounded(x), _rounded(y), _rounded(z)),
+        limit,
+        damping=joint.damping,
+        friction=joint.friction,
+    )
+
+
+def _limits(joint: Joint) -> tuple[float | None, float | None]:
+    """Return the stops of a joint, or else the positions of its motor; None for a joint without limits."""
+    low, high = joint.limits
+    if low == high == 0.0 and joint.motor is not None:
+        low, high = number(joint.motor, "minPosition"), number(joint.motor, "maxPosition")
+    if low == high == 0.0 or abs(low) == inf or low >= high:
+        return None, None
+    return low, high
+
+
+# Frames
+
+
+def _link_frame(body: Body) -> Frame:
+    """Return the frame of the link of a body, in the body."""
+    if body.parent is None or not body.joints:
+        return ORIGIN
+    return body.joints[0].anchor, frames.IDENTITY_ROTATION
+
+
+def pose_of(frame: Frame) -> urdf.Pose:
+    """Return a frame as a pose: m, and rad about fixed axes."""
+    (x, y, z), rotation = frame
+    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
+    return urdf.Pose(
+        (_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw))
+    )
+
+
+def _rounded(value: float) -> float:
+    return round(value, _EXACT) + 0.0
+
+
+MAX_OBJECTS = 60
+LARGEST_SUBSTEP = 8  # ms; the largest at which physics is within 1 % of its closed forms
+
+
+@dataclass
+class Surroundings:
+    """Entries of `world` and `objects` as pairs of key and YAML text, and what has no counterpart."""
+
+    world: list[tuple[str, str]] = field(default_factory=list)
+    objects: dict[str, str] = field(default_factory=dict)
+    pictures: dict[str, bytes] = field(default_factory=dict)
+    """PNG files that the entries name."""
+    left_out: list[tuple[str, str]] = field(default_factory=list)
+    """Locations and sentences about parts of the world without a counterpart."""
+
+
+def surroundings(
+    world: World, scene: Scene, objects: Mapping[int, str], used: Iterable[Node], step: int
+) -> Surroundings:
+    """Return the entries of a world; `objects` are names of bodies by their index, `used` the nodes that the
+    code reads, and `step` the control step (ms)."""
+    result = Surroundings()
+    entries = result.world
+    entries.append(("timestep", f"{step} ms"))
+    substeps = -(-step // LARGEST_SUBSTEP)
+    if substeps > 1:
+        entries.append(("substeps", str(substeps)))
+    if scene.gravity != (0.0, 0.0, -9.81):
+        entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
+    nodes_in_result = _arena(scene, result) | _terrain(world, scene, result)
+    needed = set(used)
+    for body in scene.bodies:
+        if body.robot is None and body.node not in nodes_in_result and body.index in objects:
+            _object(body, scene, objects[body.index], body.node in needed, result)
+    return result
+
+
+def plain(*values: float) -> str:
+    """Return numbers with up to nine digits, separated by spaces."""
+    return " ".join(f"{value + 0.0:.9g}" for value in values)
+
+
+# Arena and terrain
+
+
+def _is_at_origin(node: Node) -> bool:
+    return hypot(*vector(node, "translation")) < 1e-6 and abs(rotation(node, "rotation")[3]) > 1 - 1e-9
+
+
+def _arena(scene: Scene, result: Surroundings) -> set[Node]:
+    for node in walk(scene.nodes):
+        if node.type != "RectangleArena" or node.body is None or not _is_at_origin(node):
+            continue
+        x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
+        parts = [f"size: {plain(x, y)} m"]
+        if (height := number(node, "wallHeight")) != 0.1:
+            parts.append(f"wall_height: {plain(height)} m")
+        if (thickness := number(node, "wallThickness")) != 0.01:
+            parts.append(f"wall_thickness: {plain(thickness)} m")
+        result.world.append(("arena", f"{{{', '.join(parts)}}}"))
+        return {real(node)}
+    return set()
+
+
+def _terrain(world: World, scene: Scene, result: Surroundings) -> set[Node]:
+    """Add the first grid that stays and lies around the origin, such as a Pit, as a picture of its
+    heights."""
+    for body in scene.bodies:
+        is_alone = body.robot is None and body.parent is None and not body.is_free
+        if not is_alone or len(body.geometries) != 1 or not isinstance(body.geometries[0].shape, Grid):
+            continue
+        (geometry,), shape = body.geometries, body.geometries[0].shape
+        low, high = float(shape.heights.min()), float(shape.heights.max())
+        (x, y, z), orientation = frames.compose(body.frame, geometry.frame)
+        middle = (x + shape.size[0] / 2, y + shape.size[1] / 2, z + low)
+        if max(map(abs, middle)) > 1e-6 or abs(orientation[3]) < 1 - 1e-9 or high - low < 1e-3:
+            continue
+        file = f"{scenario_name(world.path.stem)}_terrain.png"
+        result.pictures[file] = _picture(shape, low, high)
+        parts = [
+            f"type: heightfield, file: {file}, size: {plain(*shape.size)} m, height: {plain(high - low)} m"
+        ]
+        if (friction := _friction([geometry], scene)) is not None:
+            parts.append(f"friction: {plain(friction)}")
+        result.world.append(("terrain", f"{{{', '.join(parts)}}}"))
+        return {body.node}
+    return set()
+
+
+def _picture(grid: Grid, low: float, high: float) -> bytes:
+    """Return the heights of a grid as a gray PNG of 16 bits, of which the upper row is the one of largest
+    y."""
+    from PIL import Image
+
+    shares = (grid.heights[::-1] - low) / (high - low)
+    content = BytesIO()
+    Image.fromarray(np.rint(shares * 65535).astype(np.uint16)).save(content, "PNG")
+    return content.getvalue()
+
+
+# Objects
+
+
+def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surroundings) -> None:
+    label = text(body.node, "name") or body.node.type
+    solid = [geometry for geometry in body.geometries if not _is_ground(geometry, body)]
+    if not solid:
+        if is_used:
+            pose = pose_text(body.frame)
+            result.objects[name] = f"{{shape: sphere, radius: 1 cm, solid: false, fixed: true, pose: {pose}}}"
+        return
+    reason = ""
+    if len(result.objects) + len(solid) > MAX_OBJECTS:
+        reason = f", because the world has more than {MAX_OBJECTS} objects"
+    elif body.parent is not None or any(child.parent is body for child in scene.bodies):
+        reason = ", which has joints: write a robot file for it"
+    elif body.is_free and len(solid) > 1:
+        reason = f", a body of {len(solid)} shapes: write a robot file for it"
+    if reason:
+        result.left_out.append((body.node.span.location, f"'{label}'{reason}"))
+        return
+    for position, geometry in enumerate(solid):
+        shape = _shape_text(geometry.shape)
+        if shape is None:
+            result.left_out.append((body.node.span.location, f"the {kind_of(geometry.shape)} of '{label}'"))
+            continue
+        parts = [shape]
+        mass = geometry.mass + sum(inertia.mass for inertia in body.inertias)
+        parts.append(f"mass: {plain(mass)} kg" if body.is_free and mass > 0 else "fixed: true")
+        if (friction := _friction([geometry], scene)) is not None:
+            parts.append(f"friction: {plain(friction)}")
+        parts.append(f"pose: {pose_text(frames.compose(body.frame, geometry.frame))}")
+        if color := _color_text(body, scene):
+            parts.append(f"color: '{color}'")
+        result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
+
+
+def _color_text(body: Body, scene: Scene) -> str:
+    """Return the color of the first Shape node of a body, such as `#ff0000`; empty without one."""
+    visual = next((visual for visual in scene.visuals if visual.body is body), None)
+    if visual is None:
+        return ""
+    channels = (
+        round(255 * min(max(channel, 0.0), 1.0)) for channel in color_of(visual.node, scene.files)[:3]
+    )
+    return "#" + "".join(f"{channel:02x}" for channel in channels)
+
+
+def _is_ground(geometry: Geometry, body: Body) -> bool:
+    """Return whether a plane is the ground of a scenario: level, at the height 0."""
+    if not isinstance(geometry.shape, Plane) or body.is_free:
+        return False
+    position, orientation = frames.compose(body.frame, geometry.frame)
+    return abs(position[2]) < 1e-3 and frames.rotate(orientation, (0.0, 0.0, 1.0))[2] > 0.9999
+
+
+def _shape_text(shape: Shape) -> str | None:
+    match shape:
+        case urdf.Box(size):
+            return f"shape: box, size: {plain(*size)} m"
+        case urdf.Sphere(radius):
+            return f"shape: sphere, radius: {plain(radius)} m"
+        case urdf.Cylinder(radius, height) | urdf.Capsule(radius, height):
+            return f"shape: {kind_of(shape)}, radius: {plain(radius)} m, height: {plain(height)} m"
+    return None
+
+
+def pose_text(frame: Frame) -> str:
+    """Return a frame as the value of `pose`."""
+    pose = pose_of(frame)
+    parts = [f"xyz: {plain(*pose.xyz)} m"]
+    if hypot(*pose.rpy) > 1e-9:
+        parts.append(f"rpy: {plain(*pose.rpy)} rad")
+    return f"{{{', '.join(parts)}}}"

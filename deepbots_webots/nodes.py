@@ -1,0 +1,272 @@
+"""The node types of Webots, and the values of fields with their types.
+
+`nodes.txt` has the facts: the fields of each node type with type and default. `check` finds nodes and fields
+that do not exist and values of a wrong type; afterwards the functions `number`, `vector`, ... read values.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache, partial
+from importlib import resources
+from math import atan2, hypot
+from typing import TYPE_CHECKING
+
+from deepbots_cli import frames
+from deepbots_cli.diagnostics import Source
+from deepbots_cli.records import dataclass
+from deepbots_webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_webots.syntax import WorldFindings
+
+_ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
+_SIZES = {"Vec2f": 2, "Vec3f": 3, "Rotation": 4, "Color": 3, "Float": 1, "Int32": 1}
+
+
+@dataclass(frozen=True)
+class NodeType:
+    """A type of node: its bases, nearest first, and its fields with those of the bases."""
+
+    name: str
+    bases: tuple[str, ...]
+    fields: Mapping[str, Parameter]
+
+    def is_a(self, name: str) -> bool:
+        return name == self.name or name in self.bases
+
+
+@cache
+def node_types() -> Mapping[str, NodeType]:
+    """Return the node types of Webots by name."""
+    text = resources.files("deepbots_webots").joinpath("nodes.txt").read_text("utf-8")
+    types: dict[str, NodeType] = {}
+    for match in _ENTRY.finditer(text):
+        name, base, body = match.groups()
+        parent = types.get(base)
+        interface = parse_interface(Source("nodes.txt", body))
+        bases = () if parent is None else (parent.name, *parent.bases)
+        types[name] = NodeType(name, bases, {**(parent.fields if parent else {}), **interface})
+    return types
+
+
+def is_a(node: Node, name: str) -> bool:
+    """Return whether the node, or the node that a PROTO node stands for, is of a type or derived from it."""
+    kind = node_types().get(real(node).type)
+    return kind is not None and kind.is_a(name)
+
+
+def real(node: Node) -> Node:
+    """Return the node that a PROTO node stands for; any other node itself."""
+    while node.body is not None:
+        node = node.body
+    return node
+
+
+def parameters(node: Node) -> Mapping[str, Parameter]:
+    """Return the fields that a node may have: those of its PROTO, or of its type."""
+    if node.interface:
+        return node.interface
+    kind = node_types().get(node.type)
+    return {} if kind is None else kind.fields
+
+
+def value_of(node: Node, field: str) -> Value:
+    """Return the value of a field, or its default.
+
+    Raises:
+        KeyError: The node has no such field.
+    """
+    return node.fields.get(field) or parameters(node)[field].default
+
+
+def number(node: Node, field: str) -> float:
+    """Return a number; a wrong type has a finding already, and reads as 0."""
+    item = next(iter(value_of(node, field).items), 0.0)
+    return item if isinstance(item, float) else 0.0
+
+
+def integer(node: Node, field: str) -> int:
+    return int(number(node, field))
+
+
+def boolean(node: Node, field: str) -> bool:
+    return value_of(node, field).items[:1] == [True]
+
+
+def text(node: Node, field: str) -> str:
+    item = next(iter(value_of(node, field).items), "")
+    return item if isinstance(item, str) else ""
+
+
+def texts(node: Node, field: str) -> list[str]:
+    return [item for item in value_of(node, field).items if isinstance(item, str)]
+
+
+def numbers(node: Node, field: str) -> list[float]:
+    return [item for item in value_of(node, field).items if isinstance(item, float)]
+
+
+def vector(node: Node, field: str) -> Triple:
+    x, y, z = (*numbers(node, field), 0.0, 0.0, 0.0)[:3]
+    return x, y, z
+
+
+def vectors(node: Node, field: str) -> list[Triple]:
+    items = numbers(node, field)
+    return [(items[at], items[at + 1], items[at + 2]) for at in range(0, len(items) - 2, 3)]
+
+
+def rotation(node: Node, field: str) -> Quaternion:
+    """Return a rotation about an axis as a quaternion (x, y, z, w)."""
+    return turned_about(*(*numbers(node, field), 0.0, 0.0, 0.0, 0.0)[:4])
+
+
+def turned_about(x: float, y: float, z: float, angle: float) -> Quaternion:
+    """Return the rotation about an axis of any length; none about one of length 0."""
+    length = hypot(x, y, z)
+    if length == 0:
+        return frames.IDENTITY_ROTATION
+    return frames.from_axis_angle((x / length, y / length, z / length), angle)
+
+
+def axis_angle(turned: Quaternion) -> list[float]:
+    """Return a rotation as Webots writes it: an axis, and an angle from 0 to pi."""
+    x, y, z, w = turned if turned[3] >= 0 else [-value for value in turned]
+    length = hypot(x, y, z)
+    if length < 1e-12:
+        return [0.0, 0.0, 1.0, 0.0]
+    return [x / length, y / length, z / length, 2.0 * atan2(length, w)]
+
+
+def child(node: Node, field: str) -> Node | None:
+    """Return the node in a field, without the PROTO around it."""
+    item = next(iter(value_of(node, field).items), None)
+    return real(item) if isinstance(item, Node) else None
+
+
+def children(node: Node, field: str = "children") -> list[Node]:
+    """Return the nodes in a field; a PROTO node stays one."""
+    return value_of(node, field).nodes
+
+
+def walk(nodes: list[Node]) -> Iterator[Node]:
+    """Yield nodes and what is in them, each once, in the order of the text; a PROTO node before its body."""
+    visited: set[int] = set()
+    stack = list(reversed(nodes))
+    while stack:
+        node = stack.pop()
+        if id(node) in visited:
+            continue
+        visited.add(id(node))
+        yield node
+        if node.body is not None:
+            stack.append(node.body)
+            continue
+        inner = [item for value in node.fields.values() for item in value.nodes]
+        stack.extend(reversed(inner))
+
+
+# Findings
+
+_GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet",
+               "Mesh", "IndexedLineSet", "PointSet")  # fmt: skip
+_SLOTS: Mapping[str, tuple[str, ...]] = {
+    "jointParameters": ("JointParameters", "BallJointParameters"),
+    "jointParameters2": ("JointParameters",),
+    "jointParameters3": ("JointParameters",),
+    "physics": ("Physics",),
+    "damping": ("Damping",),
+    "defaultDamping": ("Damping",),
+    "device": ("Motor", "PositionSensor", "Brake"),
+    "device2": ("Motor", "PositionSensor", "Brake"),
+    "device3": ("Motor", "PositionSensor", "Brake"),
+    "endPoint": ("Solid", "SolidReference", "Slot", "Group"),
+    "geometry": _GEOMETRIES,
+    "boundingObject": (*_GEOMETRIES, "Shape", "Group"),
+    "contactProperties": ("ContactProperties",),
+    "coord": ("Coordinate",),
+    "appearance": ("Appearance", "PBRAppearance"),
+    "material": ("Material",),
+}
+"""The types of nodes that a field takes, with the types that derive from them."""
+
+
+def check(nodes: list[Node], findings: WorldFindings) -> None:
+    """Find nodes and fields that do not exist, and values of a wrong type."""
+    for node in walk(nodes):
+        if node.body is None:
+            _check_node(node, findings)
+
+
+def _check_node(node: Node, findings: WorldFindings) -> None:
+    kind = node_types().get(node.type)
+    if kind is None:
+        hint = partial(did_you_mean, node.type, node_types())
+        findings.error(node.span, f"there is no node {node.type[:60]}", hint)
+        return
+    for name, value in node.fields.items():
+        entry = kind.fields.get(name)
+        if entry is None:
+            hint = partial(did_you_mean, name, kind.fields, "it is ignored")
+            findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
+        elif problem := type_problem(entry.type, value) or _slot_problem(name, value):
+            findings.error(value.span, f"{node.type}.{name} is {problem}")
+
+
+def _slot_problem(name: str, value: Value) -> str:
+    """Return why a node cannot be in a field; "" if it can."""
+    kinds = _SLOTS.get(name, ())
+    for item in value.nodes if kinds else ():
+        is_known = real(item).type in node_types()
+        if is_known and not any(is_a(item, kind) for kind in kinds):
+            return f"a {item.type[:60]}, and not a {' or '.join(kinds[:3])}"
+    return ""
+
+
+def type_problem(kind: str, value: Value) -> str:
+    """Return why a value is not of a type such as `SFVec3f`; "" if it is."""
+    base, several = kind[2:], kind[0] == "M"
+    if value.alias:
+        return f"IS {value.alias[:60]}, outside of a PROTO"
+    if value.in_brackets and not several:
+        return f"a list, and not {_described(kind)}"
+    size = _SIZES.get(base)
+    if size is None:
+        return _other_problem(kind, value, several=several)
+    if not value.types <= {float}:
+        return f"not {_described(kind)}"
+    if not value.is_finite:
+        return "too large a number"
+    count = len(value.items)
+    if count % size or (not several and count != size):
+        return f"{count} number{'s' * (count != 1)}, and not {_described(kind)}"
+    return ""
+
+
+def _other_problem(kind: str, value: Value, *, several: bool) -> str:
+    kinds: dict[str, set[type]] = {
+        "Bool": {bool},
+        "String": {str},
+        "Node": {Node} if several else {Node, type(None)},
+    }
+    fits = value.types <= kinds.get(kind[2:], value.types) and (several or len(value.items) == 1)
+    return "" if fits else f"not {_described(kind)}"
+
+
+def _described(kind: str) -> str:
+    names = {
+        "Bool": ("TRUE or FALSE", "of TRUE and FALSE"),
+        "String": ("a text in quotes", "of texts in quotes"),
+        "Node": ("a node", "of nodes"),
+        "Float": ("a number", "of numbers"),
+        "Int32": ("a whole number", "of whole numbers"),
+        "Vec2f": ("two numbers", "of pairs of numbers"),
+        "Vec3f": ("three numbers", "of numbers, three each"),
+        "Color": ("three numbers", "of numbers, three each"),
+        "Rotation": ("an axis and an angle", "of axes and angles"),
+    }
+    single, many = names[kind[2:]]
+    return f"a list {many}" if kind[0] == "M" else single

@@ -1,0 +1,565 @@
+"""The state of a world in MuJoCo: its steps, its bounces, its motors and rays through it.
+
+A motor is a constraint with a limited force that reaches its velocity at the end of the basic time step. It
+is the dry friction of the joint with a velocity of its own, so that MuJoCo solves it together with the
+contacts.
+
+One basic time step is made of substeps of at most 8 ms. Two things of Webots act between the two halves of a
+substep, where MuJoCo has computed the constraints and not yet solved them:
+
+- a motor (`Motors`) is a constraint, solved together with the contacts;
+- a contact that closes faster than `bounceVelocity` leaves with `bounce` times its speed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from math import ceil, inf, isinf
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.records import dataclass
+from deepbots_webots.model import ModelBuilder
+from deepbots_webots.nodes import number, numbers
+from deepbots_webots.scene import ORIGIN
+from deepbots_webots.shapes import compose
+from deepbots_webots.syntax import WorldError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from deepbots_cli.diagnostics import Span
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_webots.scene import Body, Geometry, Joint, Robot, Scene
+    from deepbots_webots.syntax import Node
+
+    Floats = NDArray[np.float64]
+
+
+_SKIPPED_GROUP = 5
+_GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
+"""Whether a geometry of each group stops rays."""
+
+
+class Rays:
+    """Casts rays.
+
+    Args:
+        bodies: The body of each geometry.
+        update_positions: Brings the positions of the geometries up to date.
+    """
+
+    def __init__(
+        self, model: Any, data: Any, bodies: Sequence[Body], update_positions: Callable[[], None]
+    ) -> None:
+        self._model, self._data = model, data
+        self._update_positions = update_positions
+        self._robot_geoms: dict[Robot | None, list[int]] = {}
+        for index, body in enumerate(bodies):
+            if body.robot is not None:
+                self._robot_geoms.setdefault(body.robot, []).append(index)
+
+    @contextmanager
+    def _without(self, robot: Robot | None) -> Iterator[None]:
+        """Context in which a robot stops no ray."""
+        self._update_positions()
+        # `mj_ray` can leave out a single body, and a robot has several.
+        groups = self._model.geom_group
+        geoms = self._robot_geoms.get(robot, [])
+        saved = groups[geoms].copy()
+        groups[geoms] = _SKIPPED_GROUP
+        try:
+            yield
+        finally:
+            groups[geoms] = saved
+
+    def cast(
+        self, start: Triple, directions: Sequence[Triple], reach: float, robot: Robot | None = None
+    ) -> list[tuple[float, int, float]]:
+        """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
+        cosine of its incidence. The robot stops no ray."""
+        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
+        results = []
+        origin = np.array(start)
+        with self._without(robot):
+            for direction in directions:
+                ray = np.array(direction)
+                length = float(
+                    mj.mj_ray(self._model, self._data, origin, ray, _GROUPS, True, -1, geom, normal)
+                )
+                if length < 0 or length > reach:
+                    results.append((reach, -1, 1.0))
+                else:
+                    results.append((length, int(geom[0]), abs(float(normal @ ray))))
+        return results
+
+    def distances(
+        self, start: Triple, directions: Floats, reach: float, robot: Robot | None = None
+    ) -> list[float]:
+        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
+        directions have the shape (rays, 3). For a single ray, `cast` takes a third of the time."""
+        count = len(directions)
+        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
+        rays = np.ascontiguousarray(directions).ravel()
+        model, data = self._model, self._data
+        with self._without(robot):
+            mj.mj_multiRay(
+                model, data, np.array(start), rays, _GROUPS, True, -1, geoms, lengths, None, count, reach
+            )
+        is_missed = (lengths < 0) | (lengths > reach)
+        return np.where(is_missed, inf, lengths).tolist()  # type: ignore[no-any-return]
+
+
+MAX_TORQUE = 1e8
+
+
+@dataclass(eq=False)
+class MotorState:
+    """The state of a motor: its commands, and its motion in the present basic time step.
+
+    Positions in rad or m, velocities per s, torques in N m or N.
+    """
+
+    joint: Joint
+    dof: int
+    position_address: int
+    max_velocity: float
+    max_torque: float
+    gains: tuple[float, float, float]
+    acceleration: float
+    target_position: float = 0.0
+    target_velocity: float = 0.0
+    available_torque: float = 0.0
+    torque: float | None = None
+    velocity: float = 0.0
+    integral: float = 0.0
+    last_error: float = 0.0
+
+    def reset(self, position: float) -> None:
+        """Set the state in which Webots starts a motor: it keeps its position."""
+        self.target_position, self.target_velocity = position, self.max_velocity
+        self.available_torque, self.torque = self.max_torque, None
+        self.velocity = self.integral = self.last_error = 0.0
+
+    def next_velocity(self, position: float, step: float) -> float:
+        """Return the target velocity in a basic time step of `step` s, from the present position."""
+        velocity = self.target_velocity
+        if not isinf(self.target_position):
+            p, i, d = self.gains
+            error = self.target_position - position
+            self.integral += error * step
+            velocity = p * error + i * self.integral + d * (error - self.last_error) / step
+            self.last_error = error
+            limit = abs(self.target_velocity)  # it keeps the sign of a velocity control before
+            velocity = min(max(velocity, -limit), limit)
+        if self.acceleration >= 0:
+            max_change = self.acceleration * step
+            velocity = min(max(velocity, self.velocity - max_change), self.velocity + max_change)
+        self.velocity = velocity
+        return velocity
+
+
+class Motors:
+    """The motors of a world, by node. Those without a torque control and with a torque are active."""
+
+    def __init__(self, model: Any, data: Any, joint_ids: Mapping[Joint, int]) -> None:
+        self._model, self._data = model, data
+        self._states = {
+            joint.motor: self._state(joint, joint.motor, index)
+            for joint, index in joint_ids.items()
+            if joint.motor is not None
+        }
+        self._active: list[MotorState] = []
+
+    def __getitem__(self, node: Node) -> MotorState:
+        return self._states[node]
+
+    def _state(self, joint: Joint, node: Node, index: int) -> MotorState:
+        strength = "maxTorque" if node.type == "RotationalMotor" else "maxForce"
+        p, i, d = (*numbers(node, "controlPID"), 0.0, 0.0, 0.0)[:3]
+        return MotorState(
+            joint,
+            int(self._model.jnt_dofadr[index]),
+            int(self._model.jnt_qposadr[index]),
+            max(0.0, number(node, "maxVelocity")),
+            min(max(0.0, number(node, strength)), MAX_TORQUE),
+            (p, i, d),
+            number(node, "acceleration"),
+        )
+
+    def reset(self) -> None:
+        """Let all motors keep the present positions of their joints."""
+        for motor in self._states.values():
+            motor.reset(float(self._data.qpos[motor.position_address]))
+        self.renew()
+
+    def stop(self) -> None:
+        """Set velocities to 0, and the torques of motors under torque control."""
+        for motor in self._states.values():
+            motor.velocity = 0.0
+            if motor.torque is not None:
+                self._data.qfrc_applied[motor.dof] = 0.0
+                motor.torque = 0.0
+
+    def renew(self) -> None:
+        """Apply limits and modes after a change."""
+        self._active = []
+        for motor in sorted(self._states.values(), key=lambda motor: motor.dof):
+            is_active = motor.torque is None and motor.available_torque > 0
+            limit = motor.available_torque if is_active else motor.joint.friction
+            self._model.dof_frictionloss[motor.dof] = limit
+            self._data.qfrc_applied[motor.dof] = motor.torque or 0.0
+            if is_active:
+                self._active.append(motor)
+        # MuJoCo has a row of friction for each of these, in this order, after the rows of equalities (`ne`).
+        rows = np.flatnonzero(self._model.dof_frictionloss > 0).tolist()
+        self._rows = np.array([rows.index(motor.dof) for motor in self._active], np.intp)
+        self._dofs = np.array([motor.dof for motor in self._active], np.intp)
+
+    def target_velocities(self, step: float) -> Floats:
+        """Return the velocity of each active motor at the end of a basic time step of `step` s."""
+        positions = self._data.qpos
+        return np.array(
+            [motor.next_velocity(float(positions[motor.position_address]), step) for motor in self._active]
+        )
+
+    def drive(self, targets: Floats, time: float) -> None:
+        """Let the active motors reach their target velocities in `time` s. The rows of constraints exist
+        after the first half of a substep.
+
+        Raises:
+            FloatingPointError: MuJoCo has left out the constraints, of which there are too many.
+        """
+        if self._active:
+            # A row of friction exerts at most `dof_frictionloss`; this reference makes it drive, not brake.
+            velocity_change = targets - self._data.qvel[self._dofs]
+            rows = self._rows + self._data.ne
+            if rows[-1] >= self._data.nefc:
+                raise FloatingPointError("the simulation has more contacts than MuJoCo has room for")
+            self._data.efc_aref[rows] = velocity_change / time
+
+    def torque(self, motor: MotorState) -> float:
+        """Return the torque or force of a motor in the last substep."""
+        if motor.torque is not None:
+            return motor.torque
+        if motor not in self._active:
+            return 0.0
+        row = int(self._rows[self._active.index(motor)]) + self._data.ne
+        return float(self._data.efc_force[row]) if row < self._data.nefc else 0.0
+
+
+MAX_SUBSTEP_MS = 8.0
+
+
+class Physics:
+    """The state of a world. Frames are (m; quaternions x, y, z, w) in the world."""
+
+    def __init__(self, scene: Scene, span: Span) -> None:
+        """Build the model.
+
+        Raises:
+            WorldError: MuJoCo refuses the world.
+        """
+        self.scene = scene
+        self.substeps = ceil(scene.basic_step / MAX_SUBSTEP_MS)
+        self.substep = scene.basic_step / 1000 / self.substeps
+        builder = ModelBuilder(scene, self.substep)
+        try:
+            self.model = model = builder.compile()
+        except ValueError as error:
+            message = " ".join(str(error).split())[:200]
+            raise WorldError.at(span, f"MuJoCo refuses the world: {message}") from error
+        self.data = mj.MjData(model)
+        self.bodies = [int(element.id) for element in builder.bodies]
+        self.geoms = builder.geometries_by_id()
+        self._joint_ids = {joint: int(element.id) for joint, element in builder.joints.items()}
+        self._free = {
+            body: int(model.jnt_qposadr[element.id]) for body, element in builder.free_joints.items()
+        }
+        self._free_dofs = {
+            body: int(model.jnt_dofadr[element.id]) for body, element in builder.free_joints.items()
+        }
+        self._static_frames = model.body_pos.copy(), model.body_quat.copy()
+        self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
+        self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
+        self._damped = _damped_bodies(scene)
+        self.motors = Motors(model, self.data, self._joint_ids)
+        self.rays = Rays(model, self.data, [body for body, _ in self.geoms], self.update_positions)
+        self._has_positions = self._has_velocities = False
+        self._start = self._state_at_begin()
+        self.reset()
+
+    def _state_at_begin(self) -> tuple[Floats, Floats]:
+        position, velocity = self.data.qpos.copy(), np.zeros(self.model.nv)
+        for body, at in self._free_dofs.items():
+            linear, angular = body.velocity
+            velocity[at : at + 3] = linear
+            # MuJoCo has the angular velocity of a free joint in the frame of the body.
+            velocity[at + 3 : at + 6] = frames.rotate_back(body.frame[1], angular)
+        return position, velocity
+
+    # Steps
+
+    def reset(self) -> None:
+        """Bring the world back to its start."""
+        model, data = self.model, self.data
+        model.body_pos[:], model.body_quat[:] = self._static_frames
+        model.dof_frictionloss[:], model.dof_damping[:] = self._usual
+        mj.mj_resetData(model, data)
+        data.qpos[:], data.qvel[:] = self._start
+        self.motors.reset()
+        mj.mj_forward(model, data)
+        self._has_positions = self._has_velocities = True
+
+    def stop(self) -> None:
+        """Set all velocities to 0, and the torques of motors under torque control."""
+        self.data.qvel[:] = 0.0
+        self.data.qacc_warmstart[:] = 0.0  # the solver would start from the motion before the stop
+        self.motors.stop()
+        self._has_velocities = False
+
+    def step(self) -> None:
+        """Advance by one basic time step.
+
+        Raises:
+            FloatingPointError: The state is not finite any more, or there are too many contacts.
+        """
+        model, data, count = self.model, self.data, self.substeps
+        # Between both halves, motors and bounces set rows of constraints, before the solver runs.
+        step1, step2 = mj.mj_step1, mj.mj_step2
+        bounces = self._bounces.is_needed
+        targets = self.motors.target_velocities(self.substep * count)
+        for left in range(count, 0, -1):
+            step1(model, data)
+            self.motors.drive(targets, self.substep * left)
+            if bounces and data.ncon:
+                self._bounces.apply(data, self.substep)
+            sliding.correct_contacts(model, data)
+            if self._damped:
+                self._damp()
+            step2(model, data)
+        self._has_positions = self._has_velocities = False
+        if not np.isfinite(data.qvel).all():
+            raise FloatingPointError("the simulation is not finite any more")
+
+    def _damp(self) -> None:
+        """Slow bodies with a Damping node by its share per s."""
+        for body, linear, angular in self._damped:
+            at = self._free_dofs.get(body)
+            if at is not None:
+                self.data.qvel[at : at + 3] *= (1.0 - linear) ** self.substep
+                self.data.qvel[at + 3 : at + 6] *= (1.0 - angular) ** self.substep
+
+    def update_positions(self) -> None:
+        if not self._has_positions:
+            mj.mj_kinematics(self.model, self.data)
+            self._has_positions = True
+
+    def update_velocities(self) -> None:
+        self.update_positions()
+        if not self._has_velocities:
+            mj.mj_comPos(self.model, self.data)
+            mj.mj_comVel(self.model, self.data)
+            self._has_velocities = True
+
+    # Readings
+
+    def frame(self, body: Body, frame_in_body: Frame = ORIGIN) -> Frame:
+        """Return a frame of a body."""
+        self.update_positions()
+        index = self.bodies[body.index]
+        x, y, z = self.data.xpos[index].tolist()
+        w, qx, qy, qz = self.data.xquat[index].tolist()
+        frame = ((x, y, z), (qx, qy, qz, w))
+        return frame if frame_in_body is ORIGIN else compose(frame, frame_in_body)
+
+    def poses(self) -> Floats:
+        """Return the pose of each body, x, y, z (m) and the quaternion w, x, y, z, shape (bodies, 7)."""
+        self.update_positions()
+        return np.concatenate([self.data.xpos[self.bodies], self.data.xquat[self.bodies]], axis=1)
+
+    def position(self, body: Body, frame_in_body: Frame = ORIGIN) -> Triple:
+        """Return the origin of a frame of a body, m."""
+        if frame_in_body is not ORIGIN:
+            return self.frame(body, frame_in_body)[0]
+        self.update_positions()
+        x, y, z = self.data.xpos[self.bodies[body.index]].tolist()
+        return x, y, z
+
+    def velocity(self, body: Body, frame_in_body: Frame = ORIGIN) -> tuple[Triple, Triple]:
+        """Return the velocity of the origin of a frame, m/s, and the angular velocity, rad/s."""
+        self.update_velocities()
+        index = self.bodies[body.index]
+        # `cvel` has the linear velocity at the center of mass of the whole kinematic tree.
+        root = int(self.model.body_rootid[index])
+        wx, wy, wz, vx, vy, vz = self.data.cvel[index].tolist()
+        x, y, z = self.data.subtree_com[root].tolist()
+        arm = frames.subtract(self.position(body, frame_in_body), (x, y, z))
+        return frames.add((vx, vy, vz), frames.cross((wx, wy, wz), arm)), (wx, wy, wz)
+
+    def center_of_mass(self, body: Body) -> Triple:
+        """Return the center of mass of a body; its origin if it has no mass."""
+        self.update_positions()
+        index = self.bodies[body.index]
+        if not self.model.body_mass[index] > 0:
+            return self.frame(body)[0]
+        x, y, z = self.data.xipos[index].tolist()
+        return x, y, z
+
+    def radius(self, owner: Node) -> float:
+        """Return the radius of the ball around the origin of a solid that has its bounding object, m; 0
+        without one."""
+        body, frame_in_body = self.scene.attachments[owner]
+        origin = np.array(self.position(body, frame_in_body))
+        geoms = [index for index, (_, geometry) in enumerate(self.geoms) if geometry.owner is owner]
+        return max(
+            (
+                float(np.linalg.norm(self.data.geom_xpos[index] - origin) + self.model.geom_rbound[index])
+                for index in geoms
+            ),
+            default=0.0,
+        )
+
+    def joint_position(self, joint: Joint) -> float:
+        return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
+
+    def joint_velocity(self, joint: Joint) -> float:
+        return float(self.data.qvel[self.model.jnt_dofadr[self._joint_ids[joint]]])
+
+    def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
+        """Return the contacts of the last substep: two geometries, the point, and the force on the second
+        one, N."""
+        contacts: list[tuple[int, int, Triple, Triple]] = []
+        force = np.zeros(6)
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            # MuJoCo lists contacts that it leaves out of the constraints too, and these exert no force.
+            if contact.efc_address < 0:
+                continue
+            mj.mj_contactForce(self.model, self.data, index, force)
+            axes = contact.frame.reshape(3, 3)
+            x, y, z = (axes.T @ force[:3]).tolist()
+            px, py, pz = contact.pos.tolist()
+            contacts.append((int(contact.geom1), int(contact.geom2), (px, py, pz), (x, y, z)))
+        return contacts
+
+    # Changes
+
+    def is_free(self, body: Body) -> bool:
+        return body in self._free
+
+    def place(self, body: Body, frame: Frame) -> None:
+        """Move a body that stands alone, in the world; its velocity stays."""
+        (x, y, z), (qx, qy, qz, w) = frame
+        if body in self._free:
+            at = self._free[body]
+            self.data.qpos[at : at + 7] = (x, y, z, w, qx, qy, qz)
+        else:
+            index = self.bodies[body.index]
+            self.model.body_pos[index] = (x, y, z)
+            self.model.body_quat[index] = (w, qx, qy, qz)
+        self._has_positions = self._has_velocities = False
+
+    def set_velocity(self, body: Body, linear: Triple, angular: Triple) -> None:
+        """Set the velocity of a body that stands alone: m/s and rad/s in the world."""
+        if body not in self._free:
+            return
+        at = self._free_dofs[body]
+        self.data.qvel[at : at + 3] = linear
+        self.data.qvel[at + 3 : at + 6] = frames.rotate_back(self.frame(body)[1], angular)
+        self.data.qacc_warmstart[at : at + 6] = 0.0  # of the motion before
+        self._has_velocities = False
+
+    def stop_body(self, body: Body) -> None:
+        """Set the velocities of a body, and of the bodies that hang on it, to 0."""
+        root = self.model.body_rootid[self.bodies[body.index]]
+        for dof in np.flatnonzero(self.model.body_rootid[self.model.dof_bodyid] == root):
+            self.data.qvel[dof] = 0.0
+        self._has_velocities = False
+
+    def set_joint_position(self, joint: Joint, position: float) -> None:
+        index = self._joint_ids[joint]
+        self.data.qpos[self.model.jnt_qposadr[index]] = position
+        self._has_positions = self._has_velocities = False
+
+    def set_damping(self, joint: Joint, extra: float) -> None:
+        """Let a brake add to the damping of a joint."""
+        dof = int(self.model.jnt_dofadr[self._joint_ids[joint]])
+        self.model.dof_damping[dof] = joint.damping + max(0.0, extra)
+
+    def set_gravity(self, gravity: float) -> None:
+        """Set the gravity, m/s^2 downward."""
+        self.scene.gravity = 0.0, 0.0, -gravity
+        self.model.opt.gravity[:] = self.scene.gravity
+
+    def push(self, body: Body, force: Triple, torque: Triple, point: Triple | None = None) -> None:
+        """Push a body for the next basic time step: N and N m in the world, at a point or at its center."""
+        if point is not None:
+            arm = frames.subtract(point, self.center_of_mass(body))
+            torque = frames.add(torque, frames.cross(arm, force))
+        self.data.xfrc_applied[self.bodies[body.index]] += (*force, *torque)
+
+    def end_pushes(self) -> None:
+        # MuJoCo keeps applied forces, while a force of a supervisor in Webots acts for one basic time step.
+        self.data.xfrc_applied[:] = 0.0
+
+    def snapshot(self) -> Floats:
+        """Return the state."""
+        # This state has the warm start of the solver too, without which a restored world goes on differently.
+        spec = mj.mjtState.mjSTATE_INTEGRATION
+        state = np.zeros(mj.mj_stateSize(self.model, spec))
+        mj.mj_getState(self.model, self.data, state, spec)
+        return state
+
+    def restore(self, state: Floats) -> None:
+        mj.mj_setState(self.model, self.data, state, mj.mjtState.mjSTATE_INTEGRATION)
+        self._has_positions = self._has_velocities = False
+
+
+class _BounceTable:
+    """Bounces per pair of materials."""
+
+    def __init__(self, scene: Scene, geometries: Sequence[Geometry]) -> None:
+        names = sorted({geometry.material for geometry in geometries}) or [""]
+        self._material = np.array([names.index(geometry.material) for geometry in geometries], np.intp)
+        pairs = [[scene.contact(name, other) for other in names] for name in names]
+        self._bounce = np.array([[pair.bounce for pair in row] for row in pairs])
+        self._speed = np.array([[pair.bounce_velocity for pair in row] for row in pairs])
+        self.is_needed = bool(self._bounce.max() > 0)
+        self._slowest = max(float(self._speed.min()), 1e-6)
+        # Contacts with rolling friction have more rows than others: then each row counts.
+        self._rows_per_contact = 1 if any(any(contact.rolling) for contact in scene.contacts.values()) else 3
+
+    def apply(self, data: Any, step: float) -> None:
+        """Let contacts that close fast leave with a share of their speed: their reference acceleration
+        reverses them in one substep."""
+        # MuJoCo orders rows as equalities, frictions, limits, contacts.
+        first = data.ne + data.nf + data.nl
+        speeds = data.efc_vel[first :: self._rows_per_contact]
+        if not speeds.size or speeds.min() >= -self._slowest:
+            return  # 3 of 4 substeps of a cart; the rest of this function takes 20 us
+        contacts = data.contact
+        rows = contacts.efc_address
+        is_active = rows >= 0
+        rows, geoms = rows[is_active], contacts.geom[is_active]
+        speeds = data.efc_vel[rows]
+        ones, others = self._material[geoms[:, 0]], self._material[geoms[:, 1]]
+        fast = speeds < -np.maximum(self._speed[ones, others], 1e-6)
+        if fast.any():
+            fast_rows = rows[fast]
+            impedance = data.efc_KBIP[fast_rows, 2]  # stiffness, damping, impedance and its derivative
+            shares = 1.0 + self._bounce[ones, others][fast]
+            data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
+
+
+def _damped_bodies(scene: Scene) -> list[tuple[Body, float, float]]:
+    return [
+        (body, min(max(body.damping[0], 0.0), 1.0), min(max(body.damping[1], 0.0), 1.0))
+        for body in scene.bodies
+        if any(body.damping)
+    ]

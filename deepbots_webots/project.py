@@ -1,0 +1,557 @@
+"""The files of a project of Webots: worlds, PROTOs and controllers; the nodes that PROTO nodes stand for.
+
+deepbots reads only files in the folder of the project and in the folders that the user names. It follows
+links before it checks this.
+
+A PROTO node keeps its type and its fields, because a supervisor reads them; `body` is the node that its
+definition makes of them. A definition is looked for in the world, in the files that it names by EXTERNPROTO,
+among the equivalents, and in folders of the user.
+
+Equivalents of PROTOs of Webots' own library are written anew from published dimensions, each in a file of
+`library/`. They have the fields, devices, masses and outlines of the originals, and a plain appearance.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import field
+from functools import cache, partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from deepbots_cli.diagnostics import Source, Span
+from deepbots_cli.errors import UsageError
+from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.records import dataclass
+from deepbots_webots.nodes import check, node_types, type_problem
+from deepbots_webots.syntax import (
+    MAX_BYTES,
+    MAX_NODES,
+    TEMPLATE,
+    TEMPLATE_HELP,
+    Node,
+    Parameter,
+    Proto,
+    Value,
+    WorldError,
+    WorldFindings,
+    did_you_mean,
+    parse,
+    parse_interface,
+)
+
+if TYPE_CHECKING:
+    from jinja2 import Environment, Template
+
+    from deepbots_webots.scene import Robot
+    from deepbots_webots.syntax import Document, Extern, Item
+
+_LIBRARY_FOLDER = "projects/"
+"""The folder of Webots with its PROTOs; addresses of its library contain it."""
+
+
+@dataclass
+class Files:
+    """Reads files of a project, and PROTOs of folders with a copy of Webots."""
+
+    project: Path
+    library: Sequence[Path] = ()
+    _sources: dict[Path, Source] = field(default_factory=dict)
+
+    @classmethod
+    def of_world(cls, world: Path, library: Sequence[Path] = ()) -> Files:
+        """Return the files of the project of a world: of the folder above `worlds/`."""
+        folder = world.resolve().parent
+        home = os.environ.get("WEBOTS_HOME")
+        further = [Path(home)] if home else []
+        return cls(
+            folder.parent if folder.name == "worlds" else folder,
+            [path.resolve() for path in (*library, *further) if path.is_dir()],
+        )
+
+    def allows(self, path: Path) -> bool:
+        """Return whether a file may be read, after following links."""
+        target = path.resolve()
+        return any(target.is_relative_to(folder) for folder in (self.project, *self.library))
+
+    def is_own(self, path: Path) -> bool:
+        """Return whether a file is in the project, and not in a copy of Webots."""
+        return path.resolve().is_relative_to(self.project)
+
+    def read(self, path: Path) -> Source:
+        """Read a text.
+
+        Raises:
+            UsageError: The file may not be read, or is not text.
+        """
+        path = path.resolve()
+        if path not in self._sources:
+            if not self.allows(path):
+                raise UsageError(f"{path} is outside the project; allow its folder by --protos")
+            try:
+                data = read_at_most(path, MAX_BYTES + 1)
+            except OSError as error:
+                raise UsageError(
+                    f"{path} cannot be read: {(error.strerror or str(error)).lower()}"
+                ) from error
+            self._sources[path] = Source(_display_path(path), data.decode("utf-8", "replace"))
+        return self._sources[path]
+
+    def proto(self, name: str, address: str, writer: str) -> Path | None:
+        """Return the file of a PROTO: at its address, in `protos/` of the project, or in a copy of Webots."""
+        candidates = []
+        if address and "://" not in address:
+            candidates.append(Path(writer).parent / address)
+        candidates.append(self.project / "protos" / f"{name}.proto")
+        tail = address.rpartition(_LIBRARY_FOLDER)[2] if _LIBRARY_FOLDER in address else ""
+        for folder in self.library:
+            candidates += [folder / _LIBRARY_FOLDER / tail] if tail else []
+            candidates.append(folder / f"{name}.proto")
+        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
+
+    def picture(self, address: str, writer: str) -> Path | None:
+        """Return the file of a picture: at its address beside the file that names it, in `worlds/` of the
+        project, or in a copy of Webots."""
+        candidates = []
+        if "://" not in address:
+            candidates += [Path(writer).parent / address, self.project / "worlds" / address]
+        if _LIBRARY_FOLDER in address:
+            tail = address.rpartition(_LIBRARY_FOLDER)[2]
+            candidates += [folder / _LIBRARY_FOLDER / tail for folder in self.library]
+        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
+
+
+def _display_path(path: Path) -> str:
+    """Return a path as messages show it: relative to the working directory if it is below it."""
+    working_directory = Path.cwd()
+    return str(path.relative_to(working_directory)) if path.is_relative_to(working_directory) else str(path)
+
+
+@dataclass
+class World:
+    """A world that was read: its nodes, with PROTO nodes expanded, and the findings."""
+
+    path: Path
+    files: Files
+    nodes: list[Node]
+    findings: WorldFindings
+    span: Span
+    """The beginning of the file."""
+
+
+def read_world(path: Path, library: Sequence[Path] = ()) -> World:
+    """Read a world; `library` are folders with copies of Webots, or with PROTOs.
+
+    Raises:
+        WorldError: The text is not a world; has the finding.
+        UsageError: A file cannot be read.
+    """
+    files = Files.of_world(path, library)
+    return world_of_source(files.read(path), path, files)
+
+
+def world_of_source(source: Source, path: Path, files: Files) -> World:
+    """Read a world from a text that is already in memory.
+
+    Raises:
+        WorldError: The text is not a world; has the finding.
+    """
+    findings = WorldFindings()
+    document = parse(source)
+    Expander(files, findings).expand(document.nodes, Scope.of_document(document))
+    check(document.nodes, findings)
+    return World(path, files, document.nodes, findings, Span(source, 0, 0))
+
+
+@dataclass(frozen=True)
+class Program:
+    """The program of a robot: the file to run, or else the remark says why there is none."""
+
+    name: str
+    path: Path | None
+    remark: str = ""
+
+
+_COMPILED = {
+    ".c": "C",
+    ".cpp": "C++",
+    ".cc": "C++",
+    ".java": "Java",
+    ".m": "MATLAB",
+    ".jar": "Java",
+    ".lua": "Lua",
+}
+
+
+def programs(files: Files, robots: Sequence[Robot]) -> Iterator[tuple[Robot, Program]]:
+    """Yield the robots of a world that have a controller, with their programs. A controller `<extern>` is the
+    only one of the project that no robot names."""
+    named = {robot.controller for robot in robots}
+    unnamed = [
+        path.stem
+        for path in files.project.glob("controllers/*/*.py")
+        if path.stem == path.parent.name and path.stem not in named
+    ]
+    for robot in robots:
+        name = robot.controller
+        if name == "<extern>" and len(unnamed) == 1:
+            extern = _program(files, unnamed[0])
+            remark = extern.remark or f"is controllers/{unnamed[0]}, the only one that no robot names"
+            yield robot, Program(name, extern.path, remark)
+        elif name not in ("", "<none>", "void"):
+            yield robot, _program(files, name)
+
+
+def _program(files: Files, name: str) -> Program:
+    if name == "<extern>":
+        return Program(name, None, "is started by hand (<extern>), which deepbots cannot wait for")
+    if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):
+        return Program(name, None, "is none of the project")
+    folder = files.project / "controllers" / name
+    path = folder / f"{name}.py"
+    if path.is_file() and files.allows(path):
+        return Program(name, path)
+    if path.is_file():
+        return Program(name, None, "is a link out of the project")
+    for suffix, language in _COMPILED.items():
+        if (folder / f"{name}{suffix}").is_file():
+            return Program(name, None, f"is written in {language}; deepbots runs Python")
+    return Program(name, None, f"has no file controllers/{name}/{name}.py")
+
+
+# Equivalents
+
+
+@dataclass(eq=False, kw_only=True)
+class Equivalent(Proto):
+    """An equivalent of a PROTO of Webots: a file of `library/`, whose body is a template of Jinja."""
+
+    template: Template
+    missing: list[str]
+    """The fields of which values other than the defaults are not implemented."""
+
+    def text(self, node: Node) -> str:
+        """Return the body for the values of a PROTO node."""
+        values = _Values(node, self.interface)
+        methods = (values.numbers, values.number, values.positive, values.is_true, values.word)
+        return self.template.render({method.__name__: method for method in methods})
+
+
+class _Values:
+    """What a template reads: the values of a PROTO node, or the defaults of its interface."""
+
+    def __init__(self, node: Node, interface: Mapping[str, Parameter]) -> None:
+        self._node, self._interface = node, interface
+
+    def _items(self, name: str) -> list[Item]:
+        return self._node.fields.get(name, self._interface[name].default).items
+
+    def numbers(self, name: str) -> list[float]:
+        return [item for item in self._items(name) if isinstance(item, float)]
+
+    def number(self, name: str) -> float:
+        return self.numbers(name)[0]
+
+    def positive(self, name: str) -> list[float]:
+        """Return numbers; the default if one is not positive."""
+        values = self.numbers(name)
+        if all(0 < value < 1e4 for value in values):
+            return values
+        return [item for item in self._interface[name].default.items if isinstance(item, float)]
+
+    def is_true(self, name: str) -> bool:
+        return self._items(name)[:1] == [True]
+
+    def word(self, name: str) -> str:
+        item = next(iter(self._items(name)), "")
+        return item if isinstance(item, str) else ""
+
+
+@cache
+def equivalents() -> frozenset[str]:
+    """Return the names of the PROTOs that have an equivalent."""
+    return frozenset(path.stem for path in LIBRARY.glob("*.proto"))
+
+
+@cache
+def equivalent(name: str) -> Equivalent:
+    """Return the equivalent of a PROTO, which has a line `# not implemented` for fields that are missing."""
+    head, body = (LIBRARY / f"{name}.proto").read_text("utf-8").split("\n] {\n")
+    interface = head.partition("[\n")[2]
+    source = Source(f"{name}.proto", interface)
+    return Equivalent(
+        name,
+        Span(source, 0, 0),
+        parse_interface(source),
+        [],
+        template=_templates().from_string(body.removesuffix("}\n")),
+        missing=_MISSING.findall(interface),
+    )
+
+
+@cache
+def _templates() -> Environment:
+    from jinja2 import Environment, StrictUndefined
+
+    templates = Environment(undefined=StrictUndefined, autoescape=False)  # the files are worlds, not HTML
+    templates.globals["pit_heights"] = pit_heights
+    return templates
+
+
+def pit_heights(
+    columns: int, rows: int, size: tuple[float, float, float], radius: float, noise: float, seed: int
+) -> str:
+    """Return the heights of a bowl as text: z * g * (1 - g) with a Gaussian g around the origin, 0 beyond
+    three widths."""
+    x, y, z = size
+    draw = random.Random(seed).gauss
+    along_x = [(column / (columns - 1) - 0.5) * x / radius for column in range(columns)]
+    along_y = [(row / (rows - 1) - 0.5) * y / radius for row in range(rows)]
+    heights = []
+    for sv in along_y:
+        for su in along_x:
+            bell = math.exp(-(su * su + sv * sv) / 2)
+            share = 1 - noise + noise * draw(0.0, _PIT_ROUGHNESS)
+            heights.append(z * bell * (1 - bell) * share if -3 < su < 3 and -3 < sv < 3 else 0.0)
+    return " ".join([f"{height:.6g}" for height in heights])
+
+
+_PIT_ROUGHNESS = 0.094
+"""The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1."""
+LIBRARY = Path(__file__).parent / "library"
+_MISSING = re.compile(r"field \w+ (\w+) .*# not implemented")
+
+
+# Definitions and bodies
+
+MAX_PROTO_BYTES = 4 * 2**20
+"""The maximum size of all PROTO files of a world, and of the bodies of equivalents."""
+MAX_LEVELS = 150
+"""The maximum depth of a world with all that PROTO and USE stand for; a level takes four calls of Python."""
+
+_HEADER = "#VRML_SIM R2025a utf8\n"
+
+
+@dataclass(frozen=True)
+class Scope:
+    """The definitions and addresses of the file that a node is written in."""
+
+    protos: Mapping[str, Proto]
+    externs: Mapping[str, Extern]
+    source: Source
+
+    @classmethod
+    def of_document(cls, document: Document) -> Scope:
+        return cls(document.protos, {extern.name: extern for extern in document.externs}, document.source)
+
+    @classmethod
+    def of_proto(cls, proto: Proto) -> Scope:
+        return cls(
+            proto.neighbors,
+            {extern.name: extern for extern in proto.externs},
+            proto.source or proto.span.source,
+        )
+
+
+class Extent(NamedTuple):
+    """The number of nodes that a node stands for, with itself, and of their levels."""
+
+    nodes: int
+    levels: int
+
+
+class Expander:
+    """Gives each PROTO node of a world its body."""
+
+    def __init__(self, files: Files, findings: WorldFindings) -> None:
+        self.files, self.findings = files, findings
+        self._clones = self._length = 0
+        self._read: dict[str, Proto | None] = {}
+        self._extents: dict[Node, Extent] = {}
+        self._library_bodies: dict[str, Node] = {}
+
+    def expand(self, nodes: list[Node], scope: Scope) -> int:
+        """Expand nodes in place. Return the number of nodes that all of them stand for: a node counts as
+        often as USE and IS repeat it.
+
+        Raises:
+            WorldError: The world has too many nodes, or too many levels of them.
+        """
+        count = 0
+        for node in nodes:
+            count += self._expand(node, scope, "", (), 0).nodes
+            _check_extent(node, Extent(count, 1), 0)
+        return count
+
+    def _expand(self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
+        """Expand a node at a level of the world, in the bodies of PROTOs."""
+        extent = self._extents.get(node)
+        if extent is None:
+            _check_extent(node, Extent(1, 1), level)
+            extent = self._extents[node] = self._expand_once(node, scope, slot, outer, level + 1)
+        _check_extent(node, extent, level)
+        return extent
+
+    def _expand_once(
+        self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int
+    ) -> Extent:
+        inner = [
+            self._expand(item, scope, name, outer, level)
+            for name, value in node.fields.items()
+            for item in value.nodes
+        ]
+        is_proto = node.type not in node_types() or node.type in scope.protos
+        proto = self._proto(node, scope, slot) if is_proto else None
+        if proto is not None:
+            inner = []
+            if proto in outer:
+                self.findings.error(node.span, f"PROTO {node.type} contains itself")
+                _empty(node)
+            else:
+                self._check_fields(node, proto)
+                node.interface = proto.interface
+                node.body = self._body(node, proto)
+                inside = Scope.of_proto(proto) if proto.source else scope
+                if node.body is not None:
+                    inner = [self._expand(node.body, inside, slot, (*outer, proto), level)]
+        return Extent(
+            1 + sum(extent.nodes for extent in inner), 1 + max((extent.levels for extent in inner), default=0)
+        )
+
+    def _proto(self, node: Node, scope: Scope, slot: str) -> Proto | None:
+        """Return the definition of a node; a finding names one that is missing."""
+        proto = scope.protos.get(node.type) or self._find(node.type, scope.externs.get(node.type), scope)
+        if proto is not None:
+            return proto
+        if slot.lower().endswith("appearance"):
+            self.findings.warning(
+                node.span, f"the appearance {node.type} is not available", "a plain one takes its place"
+            )
+            node.type = "PBRAppearance"
+            node.fields.clear()
+        elif node.type in scope.externs:
+            self.findings.error(
+                node.span,
+                f"PROTO {node.type} is not available",
+                f"name a copy of Webots, or a folder with {node.type}.proto, by --protos DIR; deepbots reads"
+                " nothing from the network",
+            )
+            _empty(node)
+        return None
+
+    def _find(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
+        key = extern.address if extern else name
+        if key not in self._read:
+            self._read[key] = None  # until it is read, so that a file that names itself ends
+            self._read[key] = self._load(name, extern, scope)
+        return self._read[key]
+
+    def _load(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
+        path = self.files.proto(name, extern.address if extern else "", scope.source.name)
+        if name in equivalents() and (path is None or not self.files.is_own(path)):
+            return equivalent(name)
+        if path is None:
+            return None
+        source = self.files.read(path)
+        self._add_length(len(source.text), Span(source, 0, 0))
+        document = parse(source, is_proto=True)
+        proto = document.protos.get(name)
+        if proto is None:
+            first_proto = next(iter(document.protos.values()))
+            self.findings.error(first_proto.span, f"PROTO {first_proto.name} in a file for {name}")
+        return proto
+
+    def _add_length(self, length: int, span: Span) -> None:
+        self._length += length
+        if self._length > MAX_PROTO_BYTES:
+            raise WorldError.at(span, f"the PROTOs of the world are larger than {MAX_PROTO_BYTES >> 20} MiB")
+
+    def _check_fields(self, node: Node, proto: Proto) -> None:
+        for name, value in list(node.fields.items()):  # a copy: fields are deleted on the way
+            entry = proto.interface.get(name)
+            if entry is None:
+                hint = partial(did_you_mean, name, proto.interface, "it is ignored")
+                if not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
+                    self.findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
+                del node.fields[name]
+            elif value.alias == "" and (problem := type_problem(entry.type, value)):
+                self.findings.error(value.span, f"{node.type}.{name} is {problem}")
+                del node.fields[name]
+
+    def _body(self, node: Node, proto: Proto) -> Node | None:
+        if isinstance(proto, Equivalent):
+            for name in proto.missing:
+                value = node.fields.get(name)
+                if value is not None and value.items != proto.interface[name].default.items:
+                    self.findings.warning(value.span, f"{node.type}.{name} is not implemented")
+            text = proto.text(node)
+            self._add_length(len(text), node.span)
+            if text not in self._library_bodies:
+                source = Source(f"{proto.name}.proto", f"{_HEADER}PROTO {proto.name} [ ] {{ {text} }}")
+                self._library_bodies[text] = parse(source, is_proto=True).protos[proto.name].body[0]
+            root = self._library_bodies[text]
+        elif proto.is_template:
+            self.findings.error(node.span, f"PROTO {proto.name} {TEMPLATE}", TEMPLATE_HELP)
+            _empty(node)
+            return None
+        else:
+            root = proto.body[0]
+        return self._clone(root, node, proto.interface, {})
+
+    def _clone(
+        self, node: Node, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]
+    ) -> Node:
+        """Return a copy of a node of a body, with the values of the PROTO node where the body says IS."""
+        # A node that the body repeats by USE stays a single node in the copy.
+        if id(node) in memo:
+            return memo[id(node)]
+        copy = Node(node.type, node.span, node.name, is_internal=True)
+        memo[id(node)] = copy
+        self._clones += 1
+        _check_extent(instance, Extent(self._clones, 1), 0)
+        for name, value in node.fields.items():
+            if not value.alias:
+                copy.fields[name] = self._clone_value(value, instance, interface, memo)
+            elif value.alias not in interface:
+                self.findings.error(value.span, f"the PROTO has no field '{value.alias[:60]}'")
+            elif value.alias in instance.fields:
+                copy.fields[name] = instance.fields[value.alias]
+            else:
+                copy.fields[name] = self._clone_value(interface[value.alias].default, instance, interface, {})
+        return copy
+
+    def _clone_value(
+        self, value: Value, instance: Node, interface: Mapping[str, Parameter], memo: dict[int, Node]
+    ) -> Value:
+        if Node not in value.types:
+            return value
+        items: list[Item] = [
+            self._clone(item, instance, interface, memo) if isinstance(item, Node) else item
+            for item in value.items
+        ]
+        return Value(value.span, items, value.in_brackets)
+
+
+def _check_extent(node: Node, extent: Extent, level: int) -> None:
+    """Check the limits of a world for a node at a level.
+
+    Raises:
+        WorldError: The node stands for too many nodes or levels.
+    """
+    if extent.nodes > MAX_NODES:
+        raise WorldError.at(
+            node.span,
+            f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it",
+        )
+    if level + extent.levels > MAX_LEVELS:
+        raise WorldError.at(node.span, f"the world has more than {MAX_LEVELS} levels of nodes")
+
+
+def _empty(node: Node) -> None:
+    """Let an empty group take the place of a node that has a finding."""
+    node.type, node.interface = "Group", {}
+    node.fields.clear()

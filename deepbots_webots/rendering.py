@@ -1,0 +1,363 @@
+"""Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding
+objects; a video of a run, from the viewpoint of the world.
+
+Shapes have the base color of their appearance, with textures on boxes, planes and grids, and are lit from the
+camera.
+"""
+
+from __future__ import annotations
+
+import atexit
+import threading
+from functools import cache
+from math import ceil, inf, tan
+from queue import Queue
+from typing import TYPE_CHECKING, Any
+from weakref import WeakSet
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.engines.mujoco import mujoco as mj
+from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
+from deepbots_cli.errors import EngineError
+from deepbots_cli.files import atomic_write
+from deepbots_cli.robots.model import Box
+from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
+from deepbots_webots.model import geom_fields
+from deepbots_webots.nodes import number, parameters, real, rotation, text, vector, walk
+from deepbots_webots.shapes import Grid, Plane, look_of, sky_color, visible_shape
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+    from types import TracebackType
+
+    from numpy.typing import NDArray
+
+    from deepbots_cli.frames import Frame
+    from deepbots_webots.physics import Physics
+    from deepbots_webots.scene import Visual
+    from deepbots_webots.shapes import Shape
+    from deepbots_webots.simulation import Simulation
+    from deepbots_webots.syntax import Node
+
+    Image = NDArray[np.uint8]
+
+
+NEAR_M, FAR_M = 0.01, 1000.0
+"""The range of distances that are drawn."""
+_FARTHEST_DEPTH_M = 998.0
+"""The largest depth of a body: where nothing is, MuJoCo computes 998.65 m from `FAR_M`, in float32."""
+MAX_PIXELS = 4096
+"""The largest width and height of a picture."""
+UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
+
+
+_OPEN: WeakSet[Pictures] = WeakSet()
+
+
+def _close_all() -> None:
+    for pictures in tuple(_OPEN):
+        pictures.close()
+
+
+@cache
+def _context() -> Any:
+    """Return a context of OpenGL around which all pictures are drawn, so that none stays with a thread: each
+    controller has a thread of its own."""
+    context = mj.GLContext(8, 8)
+    atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context
+    return context
+
+
+def require_opengl() -> None:
+    """Check that pictures can be drawn.
+
+    Raises:
+        EngineError: There is no OpenGL.
+    """
+    if not (is_available() and opens_context()):
+        raise EngineError(UNAVAILABLE)
+
+
+class Pictures:
+    """Draws one world; the model is built for the first picture."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._physics = physics
+        self._model: Any = None
+        self._renderers: dict[tuple[int, int], Any] = {}
+        _OPEN.add(self)
+
+    def close(self) -> None:
+        for renderer in self._renderers.values():
+            renderer.close()
+        self._renderers.clear()
+
+    def colors(self, frame: Frame, size: tuple[int, int], fov: float, near: float = NEAR_M) -> Image:
+        """Return the picture of a camera that looks along x of a frame, shape (height, width, 3).
+
+        `size` is width and height; `fov` is the horizontal field of view, rad.
+
+        Raises:
+            EngineError: There is no OpenGL.
+        """
+        return self._draw(frame, size, fov, near, has_depth=False)  # type: ignore[no-any-return]
+
+    def depths(self, frame: Frame, size: tuple[int, int], fov: float) -> NDArray[np.float32]:
+        """Return the distances along x, m, shape (height, width); infinite where nothing is.
+
+        Raises:
+            EngineError: There is no OpenGL.
+        """
+        depths: NDArray[np.float32] = self._draw(frame, size, fov, NEAR_M, has_depth=True)
+        return np.where(depths > _FARTHEST_DEPTH_M, np.float32(inf), depths)
+
+    def _draw(self, frame: Frame, size: tuple[int, int], fov: float, near: float, *, has_depth: bool) -> Any:
+        require_opengl()
+        if self._model is None:
+            self._build()
+        self._follow()
+        with _context().as_current():
+            renderer = self._renderer(size)
+            self._model.vis.map.znear = near
+            renderer.update_scene(self._data)
+            _aim(renderer, frame, near, near * tan(fov / 2) * size[1] / size[0])
+            if has_depth:
+                renderer.enable_depth_rendering()
+            picture = renderer.render()
+            renderer.disable_depth_rendering()
+        return picture
+
+    def _renderer(self, size: tuple[int, int]) -> Any:
+        if size not in self._renderers:
+            width, height = size
+            # MuJoCo refuses a renderer that is larger than the framebuffer of the model.
+            self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
+            self._renderers[size] = mj.Renderer(self._model, height, width)
+        return self._renderers[size]
+
+    def _follow(self) -> None:
+        """Place the bodies as they are now."""
+        for body, index in self._bodies.items():
+            position, rotation = self._physics.frame(self._physics.scene.bodies[body])
+            self._data.mocap_pos[index], self._data.mocap_quat[index] = position, frames.wxyz(rotation)
+        mj.mj_kinematics(self._model, self._data)
+        mj.mj_camlight(self._model, self._data)
+
+    def _build(self) -> None:
+        builder = _VisualModel(self._physics)
+        self._model = builder.spec.compile()
+        self._data = mj.MjData(self._model)
+        self._bodies = {
+            index: int(self._model.body_mocapid[element.id]) for index, element in builder.bodies.items()
+        }
+
+
+def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
+    position, rotation = frame
+    ahead = frames.rotate(rotation, (1.0, 0.0, 0.0))
+    for light in renderer.scene.lights[: renderer.scene.nlight]:
+        light.pos, light.dir = position, ahead  # by default, a light of MuJoCo is at MuJoCo's own camera
+    for camera in renderer.scene.camera:
+        camera.pos = position
+        camera.forward = ahead
+        camera.up = frames.rotate(rotation, (0.0, 0.0, 1.0))
+        camera.frustum_center, camera.frustum_width = 0.0, 0.0
+        camera.frustum_top, camera.frustum_bottom = top, -top
+        camera.frustum_near, camera.frustum_far = near, FAR_M
+
+
+class _VisualModel:
+    """The visible shapes of a world, on bodies that are placed from outside."""
+
+    def __init__(self, physics: Physics) -> None:
+        self._scene = physics.scene
+        self.spec = spec = mj.MjSpec()
+        # MuJoCo multiplies the distances of the clipping planes by the extent, so that they are in m here.
+        spec.stat.extent = 1.0
+        spec.stat.center = (0.0, 0.0, 0.0)
+        spec.visual.map.znear, spec.visual.map.zfar = NEAR_M, FAR_M
+        spec.visual.quality.offsamples = 0
+        spec.visual.headlight.ambient = (0.45,) * 3
+        spec.visual.headlight.diffuse = (0.55,) * 3
+        spec.visual.headlight.specular = (0.0,) * 3
+        spec.compiler.alignfree = False
+        self._count = 0
+        self._add_sky()
+        self.bodies = {
+            body.index: spec.worldbody.add_body(name=f"b{body.index}", mocap=True)
+            for body in self._scene.bodies
+        }
+        for visual in self._scene.visuals:
+            self._add(visual)
+
+    def _add_sky(self) -> None:
+        color = sky_color(self._scene.nodes) or (0.0, 0.0, 0.0)
+        self.spec.add_texture(
+            name="sky",
+            type=mj.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mj.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=color,
+            rgb2=color,
+            width=16,
+            height=96,  # six faces of a cube, one below another
+        )
+
+    def _add(self, visual: Visual) -> None:
+        shape = visible_shape(visual, self._scene.files)
+        if shape is None:
+            return
+        parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
+        parent.add_geom(
+            **geom_fields(self.spec, shape, visual.frame, self._name(), is_seen=True),
+            **self._surface(visual.node, shape),
+            contype=0,
+            conaffinity=0,
+            mass=0.0,
+        )
+
+    def _surface(self, node: Node, shape: Shape) -> dict[str, Any]:
+        """Return the color of a shape, or its texture."""
+        look = look_of(node, self._scene.files)
+        if look.texture is None or not isinstance(shape, Box | Plane | Grid):
+            return {"rgba": look.color}
+        rows, columns, _ = look.texture.pixels.shape
+        name = self._name()
+        picture = self.spec.add_texture(
+            name=name, type=mj.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3
+        )
+        picture.data = look.texture.pixels.tobytes()
+        repeats = look.texture.repeats_on(shape.size or (1.0, 1.0))
+        material = self.spec.add_material(name=name, texuniform=False, texrepeat=repeats)
+        material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
+        return {"rgba": look.base, "material": name}
+
+    def _name(self) -> str:
+        self._count += 1
+        return f"s{self._count}"
+
+
+# Video
+
+
+class Viewpoint:
+    """The Viewpoint node of a world: where it is, and what it follows."""
+
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        nodes = simulation.scene.nodes
+        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
+        self.fov, self.frame, self._followed = 0.785, _overview(), None
+        """The horizontal field of view (rad), and the frame at the start."""
+        if node is not None:
+            self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
+            self.frame = vector(node, "position"), rotation(node, "orientation")
+            self._followed = _solid(simulation, text(node, "follow"))
+        self._start_position = self._followed_position()
+
+    def now(self) -> Frame:
+        """Return the frame of the picture, which looks along x."""
+        return frames.add(self.frame[0], self.moved()), self.frame[1]
+
+    def moved(self) -> frames.Triple:
+        """Return how far the solid that the viewpoint follows has moved since the start, m."""
+        return frames.subtract(self._followed_position(), self._start_position)
+
+    def _followed_position(self) -> frames.Triple:
+        if self._followed is None:
+            return 0.0, 0.0, 0.0
+        return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
+
+
+def _solid(simulation: Simulation, name: str) -> Node | None:
+    """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
+    solid_name = name.rpartition(":")[2]
+    for node in walk(simulation.scene.nodes):
+        if solid_name and node in simulation.scene.attachments and _name(node) == solid_name:
+            return node
+    return None
+
+
+def _name(node: Node) -> str:
+    return text(node, "name") if "name" in parameters(node) else ""
+
+
+def _overview() -> Frame:
+    """Return a frame that looks at the origin from 3 m, for a world without a viewpoint."""
+    return (-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0)
+
+
+SUFFIXES = (".mp4", ".gif")
+WIDTH, HEIGHT = 640, 480
+FRAME_RATES = {".mp4": 32.0, ".gif": 10.0}
+"""The largest number of pictures per simulated second."""
+_WAITING = 8  # pictures that are drawn and not written yet
+
+
+class VideoRecorder:
+    """Writes a video while a world runs: a context manager, and a function to call after each step.
+
+    The video plays in simulated time. The picture follows the solid that the viewpoint follows.
+    """
+
+    def __init__(self, simulation: Simulation, path: Path, *, force: bool = False) -> None:
+        """Check what can be checked before the run. A file is overwritten only by `force`.
+
+        Raises:
+            UsageError: The file exists, has another suffix, or cannot be written.
+            MissingExtraError: imageio is missing for an MP4.
+            EngineError: There is no OpenGL.
+        """
+        check_target(path, SUFFIXES, force=force)
+        require_opengl()
+        self._simulation, self._path = simulation, path
+        step = simulation.basic_step / 1000
+        # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
+        self._every = max(1, ceil(1 / step / FRAME_RATES[path.suffix.lower()] - 1e-9))
+        self._rate = 1 / step / self._every
+        self._viewpoint = Viewpoint(simulation)
+        self._pictures: Queue[Any] = Queue(_WAITING)
+        self._writer = threading.Thread(target=self._write, daemon=True)
+        self._error: BaseException | None = None
+        self._steps = 0
+
+    def __enter__(self) -> VideoRecorder:
+        self._draw()
+        self._writer.start()
+        return self
+
+    def __call__(self) -> None:
+        """Draw a picture, if it is time for one."""
+        self._steps += 1
+        if self._steps % self._every == 0:
+            self._draw()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._pictures.put(None)
+        self._writer.join()
+        if self._error is not None:
+            raise self._error
+
+    def _draw(self) -> None:
+        if self._error is None:
+            view = self._viewpoint
+            self._pictures.put(self._simulation.pictures.colors(view.now(), (WIDTH, HEIGHT), view.fov))
+
+    def _write(self) -> None:
+        write = write_gif if self._path.suffix.lower() == ".gif" else write_mp4
+        try:
+            with atomic_write(self._path) as draft:
+                write(draft, self._taken(), self._rate)
+        except Exception as error:  # noqa: BLE001  # raised in the thread of the run
+            self._error = error
+            # Taken on, so that the thread of the run does not wait for room in the queue.
+            for _ in self._taken():
+                continue
+
+    def _taken(self) -> Iterator[Any]:
+        while (picture := self._pictures.get()) is not None:
+            yield picture

@@ -1,0 +1,495 @@
+"""Controllers as threads of one process, of which one runs at a time.
+
+A controller that steps passes the turn to the next controller, in the order of the world, whose step has
+ended. If there is none, the physics advances first. So a world runs the same every time, and a single
+controller never changes threads.
+
+Each controller has its own modules of the project, its own `__main__`, working directory, `sys.path` and
+`sys.argv`; installed packages are shared, and so is the state of `random` and `numpy.random`.
+"""
+
+from __future__ import annotations
+
+import importlib.machinery
+import os
+import subprocess
+import sys
+import threading
+import time
+import traceback
+import types
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import field
+from math import inf
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from deepbots_cli.errors import UsageError
+from deepbots_cli.records import dataclass
+from deepbots_webots import supervisor
+from deepbots_webots.nodes import texts
+from deepbots_webots.simulation import Pace
+
+if TYPE_CHECKING:
+    from importlib.machinery import ModuleSpec
+
+    from deepbots_webots.project import Program
+    from deepbots_webots.scene import Robot
+    from deepbots_webots.simulation import Simulation
+
+SITE = Path(__file__).parent / "site"
+"""The folder with the module `controller`."""
+MAX_STEPS_AFTER_END = 100
+"""The number of steps that a controller may make after the end; a further step ends the controller."""
+CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+"""Defaults of environment variables of controllers. Without them, Matplotlib opens windows, and small
+networks lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy
+machine)."""
+WATCH_INTERVAL_S = 0.5
+GRACE_S = 2.0
+"""The time that controllers have to end after the end of the simulation."""
+
+
+@dataclass(eq=False)
+class Controller:
+    """The program of a robot while it runs: when its step ends (ticks), and how it ended."""
+
+    robot: Robot
+    program: Path
+    arguments: list[str]
+    due: int = 0
+    turn: threading.Lock = field(default_factory=threading.Lock)
+    thread: threading.Thread | None = None
+    modules: dict[str, types.ModuleType] = field(default_factory=dict)
+    private: set[str] = field(default_factory=set)
+    path: list[str] = field(default_factory=list)
+    folder: str = ""
+    has_ended: bool = False
+    steps: int = 0
+    steps_after_end: int = 0
+    exit_code: int = 0
+
+    @property
+    def name(self) -> str:
+        return self.robot.name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run of a world ended: the exit code, the simulated time (s), and a sentence for each thing that
+    went wrong."""
+
+    exit_code: int
+    seconds: float
+    steps: int
+    problems: tuple[str, ...]
+    controllers: tuple[tuple[str, int, int], ...] = ()
+    """Robot, exit code and number of steps of each controller."""
+    is_stuck: bool = False
+    """Whether a controller still runs that only the end of the process ends."""
+
+
+class Runner:
+    """Runs the controllers of a world."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        programs: Sequence[tuple[Robot, Program]],
+        *,
+        steps: int | None = None,
+        timeout: float | None = None,
+        packages: Sequence[str] = (),
+        output: TextIO | None = None,
+        errors: TextIO | None = None,
+        pace: Pace | None = None,
+        after_step: Sequence[Callable[[], None]] = (),
+        on_line: Callable[[str, str], None] | None = None,
+    ) -> None:
+        """Prepare a run.
+
+        Args:
+            simulation: The world.
+            programs: The robots with the programs of their controllers.
+            steps: The number of basic time steps after which the run ends.
+            timeout: The time (s) after which a controller that does not step ends the run.
+            packages: Further folders from which controllers import.
+            output: Where controllers print, by default `sys.stdout`.
+            errors: Where errors of controllers go, by default `sys.stderr`.
+            pace: When the world may advance; by default, as fast as it can.
+            after_step: Called after each basic time step.
+            on_line: Called with the name of a robot and each line that its controller prints.
+        """
+        self.simulation, self.timeout = simulation, timeout
+        self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
+        self.packages = list(packages)
+        self.controllers = [
+            Controller(robot, program.path, texts(robot.node, "controllerArgs"))
+            for robot, program in programs
+            if program.path is not None
+        ]
+        self.is_over = False
+        self._current: Controller | None = None
+        self._everything_ended = threading.Event()
+        self._progress = 0
+        self._problems: list[str] = []
+        self._by_robot = {controller.robot: controller for controller in self.controllers}
+        self._pace = pace or Pace(simulation, is_fast=True)
+        self._after_step, self._on_line = after_step, on_line
+        self._output, self._errors = output or sys.stdout, errors or sys.stderr
+
+    # The main thread
+
+    def run(self) -> Outcome:
+        """Run until the controllers end, a limit is reached, or a controller fails."""
+        simulation = self.simulation
+        if not self.controllers:
+            raise UsageError("no robot of the world has a controller that can run")
+        if any(controller.robot.is_supervisor for controller in self.controllers):
+            self._supervisors = [
+                controller for controller in self.controllers if controller.robot.is_supervisor
+            ]
+        else:
+            self._supervisors = self.controllers
+        supervisor.activate(simulation)
+        simulation.wait = self._wait
+        try:
+            with self._surroundings():
+                self._begin()
+                self._watch()
+        finally:  # also if the person at the keyboard ends the run
+            self.is_over = True
+            supervisor.deactivate()
+        return self._outcome()
+
+    def _begin(self) -> None:
+        """Start a thread for each controller, and let the first one run."""
+        for controller in self.controllers:
+            # Locked before the thread starts, so that the thread waits until it gets the turn.
+            controller.turn.acquire()
+            controller.thread = threading.Thread(
+                target=self._work, args=(controller,), daemon=True, name=controller.name
+            )
+            controller.thread.start()
+        self._give_turn(self.controllers[0])
+
+    def _watch(self) -> None:
+        """Wait for the end; a controller that does not step for too long ends the run."""
+        timeout = inf if self.timeout is None else self.timeout
+        last_progress, since = self._progress, time.monotonic()
+        while not self._everything_ended.wait(min(timeout, WATCH_INTERVAL_S)):
+            if self._progress != last_progress or self._pace.is_paused:
+                last_progress, since = self._progress, time.monotonic()
+            elif time.monotonic() - since >= timeout:
+                name = self._current.name if self._current is not None else "?"
+                self._problems.append(f"the controller of '{name}' made no step for {timeout:g} s")
+                self.is_over = True
+                self._everything_ended.wait(GRACE_S)
+                return
+
+    def _outcome(self) -> Outcome:
+        simulation = self.simulation
+        code = simulation.quit_status or 0
+        for controller in self.controllers:
+            code = code or controller.exit_code
+        stuck = [controller for controller in self.controllers if not controller.has_ended]
+        if self._problems:
+            code = code or 1
+        seconds = simulation.ticks / 1000
+        steps = simulation.ticks // simulation.basic_step
+        ends = tuple(
+            (controller.name, controller.exit_code, controller.steps) for controller in self.controllers
+        )
+        return Outcome(code, seconds, steps, tuple(self._problems), ends, bool(stuck))
+
+    @contextmanager
+    def _surroundings(self) -> Iterator[None]:
+        """Give controllers their own surroundings, and restore those of the process."""
+        path, argv, folder = sys.path[:], sys.argv, os.getcwd()
+        stdout, stderr = sys.stdout, sys.stderr
+        main, modules_before = sys.modules.get("__main__"), set(sys.modules)
+        finder = _ProjectFinder(self)
+        # Python searches the folder of a program first, so modules of the project hide installed ones.
+        sys.meta_path.insert(0, finder)
+        name = self._speaker
+        streams = tuple(_Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
+        sys.stdout, sys.stderr = streams
+        added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
+        os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
+        base = [str(SITE), *self.packages, *sys.path]
+        for controller in self.controllers:
+            controller.folder = str(controller.program.parent)
+            controller.path = [controller.folder, *base]
+            controller.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            for stream in streams:
+                stream.close()
+            sys.meta_path.remove(finder)
+            sys.path[:], sys.argv = path, argv
+            os.chdir(folder)
+            sys.stdout, sys.stderr = stdout, stderr
+            for variable in added_variables:
+                os.environ.pop(variable, None)
+            for module in {module for controller in self.controllers for module in controller.private}:
+                sys.modules.pop(module, None)
+            for module in set(sys.modules) - modules_before:
+                # The next run imports the module anew: it belongs to another simulation.
+                if module.partition(".")[0] == "controller":
+                    del sys.modules[module]
+            if main is not None:
+                sys.modules["__main__"] = main
+
+    def _speaker(self) -> str:
+        return self._current.name if self._current is not None else ""
+
+    # The threads of controllers
+
+    def _work(self, controller: Controller) -> None:
+        controller.turn.acquire()
+        try:
+            if not self.is_over:
+                self._execute(controller)
+        except SystemExit as error:
+            controller.exit_code = _exit_code(error)
+        except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
+            controller.exit_code = 1
+            _print_traceback(error)
+            self._problems.append(f"the controller of '{controller.name}' failed: {_described(error)}")
+            self.is_over = True
+        controller.has_ended = True
+        self._end(controller)
+
+    def _execute(self, controller: Controller) -> None:
+        module = sys.modules["__main__"]
+        module.__file__ = str(controller.program)
+        module.__builtins__ = __builtins__  # type: ignore[attr-defined]
+        # `compile` finds out the encoding of a program only from its bytes (PEP 263).
+        code = compile(controller.program.read_bytes(), str(controller.program), "exec")
+        exec(code, vars(module))  # after --allow-code
+
+    def _end(self, controller: Controller) -> None:
+        if all(other.has_ended for other in self._supervisors):
+            self.is_over = True
+        if all(other.has_ended for other in self.controllers):
+            self._everything_ended.set()
+            return
+        if not self.is_over:
+            code = f" with exit code {controller.exit_code}" if controller.exit_code else ""
+            self._errors.write(f"the controller of '{controller.name}' ended{code}; the others go on\n")
+        self._pass_on(controller)
+
+    def _wait(self, robot: Robot, period: int) -> int:
+        """Do the step of a controller; returns -1 at the end."""
+        controller = self._by_robot[robot]
+        if self.is_over:
+            controller.steps_after_end += 1
+            if controller.steps_after_end > MAX_STEPS_AFTER_END:
+                raise SystemExit(0)  # the program does not heed the end
+            return -1
+        controller.steps += 1
+        self._progress += 1
+        basic = self.simulation.basic_step
+        controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
+        self._pass_on(controller)
+        return -1 if self.is_over else 0
+
+    def _pass_on(self, controller: Controller) -> None:
+        """Give the turn to the next controller, and wait for the next turn of this one."""
+        following = self._next()
+        if following is controller:
+            return
+        self._leave(controller)
+        self._give_turn(following)
+        if not controller.has_ended:
+            controller.turn.acquire()
+
+    def _next(self) -> Controller:
+        """Advance the physics until the step of a controller ends, and return this controller; at the end of
+        the run, return the first one that still runs."""
+        simulation = self.simulation
+        waiting = [controller for controller in self.controllers if not controller.has_ended]
+        while not self.is_over:
+            for controller in waiting:
+                if controller.due <= simulation.ticks:
+                    return controller
+            at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
+            if at_limit or simulation.quit_status is not None or self._pace.wants_restart:
+                self.is_over = True
+            else:
+                self._advance()
+        return waiting[0]
+
+    def _advance(self) -> None:
+        if self._pace.wait():
+            self._progress += 1  # a pause does not count as time of a controller
+        try:
+            self.simulation.run_step()
+        except FloatingPointError as error:
+            self._problems.append(f"{error}, after {self.simulation.time / 1000:g} s")
+            self.is_over = True
+            return
+        for call in self._after_step:
+            call()
+
+    # Surroundings
+
+    def _give_turn(self, controller: Controller) -> None:
+        self._current = controller
+        self.simulation.current = controller.robot
+        self._enter(controller)
+        controller.turn.release()
+
+    def _enter(self, controller: Controller) -> None:
+        """Install the modules, `sys.path`, arguments and working directory of a controller."""
+        sys.path[:] = controller.path
+        sys.argv = [str(controller.program), *controller.arguments]
+        sys.modules.update(controller.modules)
+        os.chdir(controller.folder)
+
+    def _leave(self, controller: Controller) -> None:
+        """Store the modules, `sys.path` and working directory of a controller, and remove its modules."""
+        controller.path = sys.path[:]
+        modules = sys.modules
+        controller_modules = controller.modules
+        controller_modules["__main__"] = modules["__main__"]
+        for name in controller.private:
+            module = modules.pop(name, None)
+            if module is not None:
+                controller_modules[name] = module
+        if not controller.has_ended:
+            controller.folder = os.getcwd()
+
+    def is_private(self, name: str) -> bool:
+        """Return whether a module belongs to the controller that runs."""
+        return self._current is not None and name in self._current.private
+
+    def find_private(self, name: str) -> ModuleSpec | None:
+        """Return a module of the folder of the controller that runs."""
+        controller = self._current
+        # Threads of the page and of videos import too, while a controller has the turn.
+        if controller is None or threading.current_thread() is not controller.thread:
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(name, [str(controller.program.parent)])
+        if spec is not None:
+            controller.private.add(name)
+        return spec
+
+
+class _ProjectFinder:
+    """Finds modules of the folders of controllers, and records whose they are."""
+
+    def __init__(self, runner: Runner) -> None:
+        self._runner = runner
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: types.ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if path is None:
+            return self._runner.find_private(name)
+        if self._runner.is_private(name.partition(".")[0]) and self._runner._current is not None:
+            self._runner._current.private.add(name)
+        return None
+
+
+class _Prefixed:
+    """A stream that begins each line with the name of the robot whose controller prints."""
+
+    encoding, errors = "utf-8", "replace"
+
+    def __init__(
+        self,
+        stream: TextIO,
+        speaker: Callable[[], str],
+        on_line: Callable[[str, str], None] | None = None,
+    ) -> None:
+        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each
+        line."""
+        self._stream, self._speaker, self._on_line = stream, speaker, on_line
+        self._unfinished: dict[str, str] = {}
+
+    def write(self, text: str) -> int:
+        name = self._speaker()
+        *lines, unfinished_line = (self._unfinished.pop(name, "") + text).split("\n")
+        if lines:
+            self._write(name, lines)
+        if unfinished_line:
+            self._unfinished[name] = unfinished_line
+        return len(text)
+
+    def _write(self, name: str, lines: Sequence[str]) -> None:
+        # Whole lines in one call, so that lines of several controllers do not mix.
+        self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
+        if self._on_line is not None:
+            for line in lines:
+                self._on_line(name, line)
+
+    def writelines(self, lines: Sequence[str]) -> None:
+        for line in lines:
+            self.write(line)
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def close(self) -> None:
+        """Write lines that have no end yet."""
+        for name, unfinished_line in self._unfinished.items():
+            self._write(name, [unfinished_line])
+        self._unfinished.clear()
+        self._stream.flush()
+
+    def isatty(self) -> bool:
+        return False
+
+    def writable(self) -> bool:
+        return True
+
+    def fileno(self) -> int:
+        return self._stream.fileno()
+
+
+def _exit_code(error: SystemExit) -> int:
+    """Return the exit code of a program that ends with SystemExit; a text is printed, and its code is 1."""
+    if error.code is None:
+        return 0
+    if isinstance(error.code, int):
+        return error.code
+    print(error.code, file=sys.stderr)
+    return 1
+
+
+def _print_traceback(error: BaseException) -> None:
+    """Print a traceback without the frames of this module, which ran the program."""
+    trace = error.__traceback__
+    while trace is not None and trace.tb_frame.f_code.co_filename == __file__:
+        trace = trace.tb_next
+    sys.stderr.write("".join(traceback.format_exception(type(error), error, trace)))
+
+
+def _described(error: BaseException) -> str:
+    """Return the kind and the message of an error in a line."""
+    message = " ".join(str(error).split())[:200]
+    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+
+
+def packages_of(python: Path) -> list[str]:
+    """Return the folders from which another interpreter imports packages.
+
+    Raises:
+        UsageError: It does not run, or has another version.
+    """
+    program = "import sys; print(*sys.version_info[:2]); print(*filter(None, sys.path), sep='\\n')"
+    try:
+        ran = subprocess.run([python, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    except (OSError, subprocess.SubprocessError) as error:
+        raise UsageError(f"--python {python} does not run: {error}") from error
+    version, *folders = ran.stdout.splitlines()
+    own_version = f"{sys.version_info[0]} {sys.version_info[1]}"
+    if version != own_version:
+        raise UsageError(
+            f"--python {python} is Python {version.replace(' ', '.')}, and deepbots runs on Python"
+            f" {own_version.replace(' ', '.')}; their packages do not mix"
+        )
+    return [folder for folder in folders if "site-packages" in folder or "dist-packages" in folder]

@@ -1,0 +1,674 @@
+"""Bodies, joints, geometries and devices of a world, made of its tree: what an engine builds.
+
+A body is what moves as one: a solid that stands alone, or is the end point of a joint, with all solids fixed
+to it. A solid without physics that no joint carries does not move. `Scene.attachments` has the body and the
+frame of every node with a pose, so that a supervisor can ask for it.
+
+`port.Engine` is not used here, because its world model has no joints outside of robots, no ball joints, no
+two joints between the same two bodies, no friction per pair of materials, and its motors reach a velocity as
+fast as their torque allows; a motor of Webots takes one basic time step. So `physics.py` builds the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import field
+from math import hypot
+from typing import TYPE_CHECKING, Literal, NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.frames import IDENTITY_ROTATION, Triple
+from deepbots_cli.records import dataclass
+from deepbots_webots.nodes import (
+    boolean,
+    child,
+    children,
+    is_a,
+    number,
+    numbers,
+    real,
+    rotation,
+    text,
+    vector,
+    vectors,
+)
+from deepbots_webots.shapes import Grid, Mesh, compose, shape_of, volume_of
+from deepbots_webots.syntax import WorldError
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame
+    from deepbots_webots.project import Files, World
+    from deepbots_webots.shapes import Shape
+    from deepbots_webots.syntax import Node, WorldFindings
+
+ORIGIN: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
+AXES: tuple[Triple, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+DEVICES = frozenset(
+    [
+        "Accelerometer",
+        "Altimeter",
+        "Brake",
+        "Camera",
+        "Compass",
+        "Connector",
+        "Display",
+        "DistanceSensor",
+        "Emitter",
+        "GPS",
+        "Gyro",
+        "InertialUnit",
+        "LED",
+        "Lidar",
+        "LightSensor",
+        "LinearMotor",
+        "Microphone",
+        "Pen",
+        "PositionSensor",
+        "Radar",
+        "Radio",
+        "RangeFinder",
+        "Receiver",
+        "RotationalMotor",
+        "Skin",
+        "Speaker",
+        "TouchSensor",
+        "VacuumGripper",
+    ]
+)
+
+
+@dataclass(eq=False)
+class Geometry:
+    """A shape of a bounding object: its frame in the body, the material, and the mass it adds (kg)."""
+
+    shape: Shape
+    frame: Frame
+    material: str
+    owner: Node
+    mass: float = 0.0
+    reflection: float = 0.6
+    """The share of infra-red light that it reflects."""
+
+
+@dataclass(eq=False)
+class Visual:
+    """A Shape node that is seen: its frame in the body, or in the world without one, and the scale there."""
+
+    node: Node
+    body: Body | None
+    frame: Frame
+    scale: Triple
+
+
+@dataclass(eq=False)
+class Light:
+    """A light: its node, and the frame of that node in the body, or in the world without one."""
+
+    node: Node
+    body: Body | None
+    frame: Frame
+
+
+@dataclass(eq=False)
+class Inertia:
+    """The mass (kg) and inertia (kg m^2: xx, yy, zz, xy, xz, yz about the center) that a solid states."""
+
+    mass: float
+    frame: Frame
+    matrix: tuple[float, ...]
+
+
+JointKind = Literal["hinge", "slide", "ball"]
+
+
+@dataclass(eq=False)
+class Joint:
+    """A joint of a body with its parent: axis and anchor (m) in the frame of the body at the first position.
+
+    Positions are in rad or m, and 0 for both limits means none. `parameters` is the node with its position,
+    `index` the number of its axis among those of the node.
+    """
+
+    kind: JointKind
+    axis: Triple
+    anchor: Triple
+    position: float = 0.0
+    limits: tuple[float, float] = (0.0, 0.0)
+    stiffness: float = 0.0
+    damping: float = 0.0
+    friction: float = 0.0
+    node: Node | None = None
+    parameters: Node | None = None
+    motor: Node | None = None
+    index: int = 0
+
+
+@dataclass(eq=False)
+class Body:
+    """A body: its frame in its parent, or in the world; its joints, geometries and stated inertias.
+
+    `is_free` says that it moves without a joint. Velocities are those at the start: m/s and rad/s. `damping`
+    has the shares of its linear and its angular velocity that it loses per s.
+    """
+
+    index: int
+    node: Node
+    parent: Body | None
+    frame: Frame
+    robot: Robot | None
+    is_free: bool = False
+    is_dynamic: bool = False
+    joints: list[Joint] = field(default_factory=list)
+    geometries: list[Geometry] = field(default_factory=list)
+    inertias: list[Inertia] = field(default_factory=list)
+    damping: tuple[float, float] = (0.0, 0.0)
+    velocity: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+@dataclass(eq=False)
+class Device:
+    """A device of a robot: its node, its body and frame there, and the joint of a motor or sensor."""
+
+    node: Node
+    type: str
+    name: str
+    body: Body
+    frame: Frame = ORIGIN
+    joint: Joint | None = None
+
+
+@dataclass(eq=False)
+class Robot:
+    """A robot: its node as it is written, the node it stands for, and its devices by name."""
+
+    written: Node
+    node: Node
+    index: int
+    devices: dict[str, Device] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        return text(self.node, "name")
+
+    @property
+    def is_supervisor(self) -> bool:
+        return boolean(self.node, "supervisor")
+
+    @property
+    def controller(self) -> str:
+        return text(self.node, "controller")
+
+
+@dataclass(frozen=True)
+class Contact:
+    """How two materials touch: friction, bounce, and the lowest speed (m/s) at which they bounce."""
+
+    friction: float = 1.0
+    rolling: Triple = (0.0, 0.0, 0.0)
+    bounce: float = 0.5
+    bounce_velocity: float = 0.01
+
+
+@dataclass(eq=False)
+class Scene:
+    """The bodies, robots and settings of a world.
+
+    `nodes` are the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
+    `gravity` in m/s^2. `attachments` maps each node with a pose to its body and its
+    frame in the body. `outer_frames` maps nodes with a pose outside of bodies to their frame in the world.
+    `parents` maps each node to the node above it.
+    """
+
+    nodes: list[Node]
+    files: Files
+    basic_step: int = 32
+    gravity: Triple = (0.0, 0.0, -9.81)
+    seed: int = 0
+    bodies: list[Body] = field(default_factory=list)
+    robots: list[Robot] = field(default_factory=list)
+    contacts: dict[tuple[str, str], Contact] = field(default_factory=lambda: {("", ""): Contact()})
+    """By two materials; ("", "") has the contact of all others."""
+    attachments: dict[Node, tuple[Body, Frame]] = field(default_factory=dict)
+    outer_frames: dict[Node, Frame] = field(default_factory=dict)
+    parents: dict[Node, Node] = field(default_factory=dict)
+    visuals: list[Visual] = field(default_factory=list)
+    lights: list[Light] = field(default_factory=list)
+    radar_targets: list[Node] = field(default_factory=list)
+    """The solids that radars see."""
+
+    def contact(self, first: str, second: str) -> Contact:
+        """Return how two materials touch."""
+        return (
+            self.contacts.get((first, second)) or self.contacts.get((second, first)) or self.contacts["", ""]
+        )
+
+
+# The tree of a world as a scene
+
+MAX_BODIES = 2000
+MAX_POINTS = 1_000_000
+"""The maximum number of points of all bounding objects, each as often as it is used. A height counts as one,
+and a face as two."""
+UNIT: Triple = (1.0, 1.0, 1.0)
+_UNSUPPORTED = frozenset(["Track", "Propeller", "Charger", "Fluid"])
+_DEVICE_SLOTS = ("device", "device2", "device3")
+
+
+def build_scene(world: World) -> Scene:
+    """Return the scene of a world, with its findings added to those of the world.
+
+    Raises:
+        WorldError: The world has errors already, or is too large.
+    """
+    world.findings.require_none()
+    scene = Scene(world.nodes, world.files)
+    builder = _Builder(scene, world.files, world.findings)
+    for node in world.nodes:
+        if real(node).type == "WorldInfo":
+            builder.read_world_info(real(node))
+    for node in world.nodes:
+        builder.add(node, _Site(None, ORIGIN, UNIT, None))
+    return scene
+
+
+@dataclass(frozen=True)
+class _Site:
+    """Where a node is: the body around it, its frame there, its scale, its robot and its solid."""
+
+    body: Body | None
+    frame: Frame
+    scale: Triple
+    robot: Robot | None
+    solid: Node | None = None
+
+
+class _Builder:
+    def __init__(self, scene: Scene, files: Files, findings: WorldFindings) -> None:
+        self.scene, self.files, self.findings = scene, files, findings
+        self._shapes: dict[tuple[Node, Triple], Shape | None] = {}
+        self._points = 0
+
+    def read_world_info(self, info: Node) -> None:
+        scene = self.scene
+        step = number(info, "basicTimeStep")
+        if not 1 <= step <= 10_000:
+            self.findings.error(info.span, f"basicTimeStep is {step:g} ms; it is between 1 and 10,000")
+            step = 32.0
+        scene.basic_step = max(1, round(step))
+        scene.gravity = 0.0, 0.0, -number(info, "gravity")
+        scene.seed = int(number(info, "randomSeed"))
+        if text(info, "coordinateSystem") == "NUE":
+            self.findings.error(
+                info.span,
+                "the axes of the world are NUE; deepbots has z upward",
+                'convert it in Webots, or write coordinateSystem "ENU"',
+            )
+        for node in map(real, children(info, "contactProperties")):
+            if node.type == "ContactProperties":
+                self._contact(node)
+
+    def _contact(self, node: Node) -> None:
+        frictions = numbers(node, "coulombFriction") or [1.0]
+        friction = 100.0 if frictions[0] < 0 else frictions[0]  # -1 stands for no limit
+        if len(set(frictions)) > 1:
+            self.findings.warning(node.span, "coulombFriction depends on the direction; the first is used")
+        contact = Contact(
+            friction,
+            vector(node, "rollingFriction"),
+            min(max(number(node, "bounce"), 0.0), 1.0),
+            number(node, "bounceVelocity"),
+        )
+        self.scene.contacts[text(node, "material1"), text(node, "material2")] = contact
+
+    # Nodes
+
+    def add(self, node: Node, site: _Site) -> None:
+        """Add a node and what is in it."""
+        node_as_written, node = node, real(node)
+        if is_a(node, "Solid"):
+            self._add_solid(node_as_written, node, site)
+        elif is_a(node, "Pose"):
+            frame = compose(site.frame, _frame_of(node), site.scale)
+            scale = _scaled(site.scale, node) if node.type == "Transform" else site.scale
+            inner = _Site(site.body, frame, scale, site.robot, site.solid)
+            if site.body is not None:
+                self.scene.attachments[node] = site.body, frame
+            else:
+                self.scene.outer_frames[node] = frame
+            self._add_children(node, inner)
+        elif node.type == "Group":
+            self._add_children(node, site)
+        elif node.type == "Slot":
+            inner_node = child(node, "endPoint")
+            if inner_node is not None:
+                self._link(inner_node, node)
+                self.add(inner_node, site)
+        elif node.type.endswith("Joint"):
+            self._add_joint(node, site)
+        elif node.type == "Shape":
+            self.scene.visuals.append(Visual(node, site.body, site.frame, site.scale))
+        elif is_a(node, "Light"):
+            self.scene.lights.append(Light(node, site.body, site.frame))
+        elif node.type in _UNSUPPORTED:
+            self.findings.error(node.span, f"the node {node.type} is not implemented")
+
+    def _add_children(self, node: Node, site: _Site) -> None:
+        for inner in children(node):
+            self._link(inner, node)
+            self.add(inner, site)
+
+    def _link(self, inner: Node, outer: Node) -> None:
+        self.scene.parents.setdefault(inner, outer)  # a node that USE repeats keeps its first place
+        if inner.body is not None:
+            self.scene.parents.setdefault(real(inner), outer)
+
+    def _add_solid(self, node_as_written: Node, node: Node, site: _Site) -> None:
+        if node.type in _UNSUPPORTED:
+            self.findings.error(node.span, f"the node {node.type} is not implemented")
+        frame = compose(site.frame, _frame_of(node), site.scale)
+        scale = _scaled(site.scale, node)
+        robot = self._robot(node_as_written, node, site)
+        body = site.body
+        if body is None:
+            body = self._body(node, None, frame, robot)
+            body.is_free = child(node, "physics") is not None
+            body.is_dynamic = body.is_free
+            frame = ORIGIN
+        self._fill(node, body, frame, scale, robot)
+
+    def _robot(self, node_as_written: Node, node: Node, site: _Site) -> Robot | None:
+        if node.type != "Robot":
+            return site.robot
+        if site.robot is not None:
+            self.findings.warning(node.span, "a robot in another robot: its devices belong to the outer one")
+            return site.robot
+        robot = Robot(node_as_written, node, len(self.scene.robots))
+        self.scene.robots.append(robot)
+        return robot
+
+    def _body(self, node: Node, parent: Body | None, frame: Frame, robot: Robot | None) -> Body:
+        if len(self.scene.bodies) >= MAX_BODIES:
+            raise _too_many(node, f"{MAX_BODIES:,} bodies")
+        body = Body(len(self.scene.bodies), node, parent, frame, robot)
+        body.velocity = vector(node, "linearVelocity"), vector(node, "angularVelocity")
+        self.scene.bodies.append(body)
+        return body
+
+    def _fill(self, node: Node, body: Body, frame: Frame, scale: Triple, robot: Robot | None) -> None:
+        """Add the bounding object, the physics, the device and the children of a solid to its body."""
+        self.scene.attachments[node] = body, frame
+        if node.type in DEVICES:
+            self._add_device(node, body, frame, robot)
+        if number(node, "radarCrossSection") > 0:
+            self.scene.radar_targets.append(node)
+        first = len(body.geometries)
+        bounding = next(iter(children(node, "boundingObject")), None)
+        if bounding is not None:
+            self._link(bounding, node)
+            self._add_geometry(bounding, body, frame, scale, node)
+        physics = child(node, "physics")
+        if physics is not None and physics.type == "Physics":
+            self._add_mass(node, physics, body, frame, body.geometries[first:])
+        self._add_children(node, _Site(body, frame, scale, robot, node))
+
+    # Geometries and masses
+
+    def _add_geometry(self, node: Node, body: Body, frame: Frame, scale: Triple, owner: Node) -> None:
+        node = real(node)
+        if is_a(node, "Pose") and not is_a(node, "Solid"):
+            inner = _scaled(scale, node) if node.type == "Transform" else scale
+            inner_frame = compose(frame, _frame_of(node), scale)
+            for inner_node in children(node):
+                self._add_geometry(inner_node, body, inner_frame, inner, owner)
+        elif node.type == "Group":
+            for inner_node in children(node):
+                self._add_geometry(inner_node, body, frame, scale, owner)
+        elif node.type == "Shape":
+            geometry = child(node, "geometry")
+            if geometry is not None:
+                self._add_shape(geometry, body, frame, scale, owner)
+        else:
+            self._add_shape(node, body, frame, scale, owner)
+
+    def _add_shape(self, node: Node, body: Body, frame: Frame, scale: Triple, owner: Node) -> None:
+        if (node, scale) not in self._shapes:
+            self._shapes[node, scale] = shape_of(node, scale, self.files, self.findings)
+        shape = self._shapes[node, scale]
+        if shape is not None:
+            self._points += _points_of(shape)
+            if self._points > MAX_POINTS:
+                raise _too_many(node, f"{MAX_POINTS:,} points of meshes and grids")
+            material = text(owner, "contactMaterial")
+            reflection = _reflection(owner)
+            body.geometries.append(Geometry(shape, frame, material, owner, 0.0, reflection))
+
+    def _add_mass(
+        self, node: Node, physics: Node, body: Body, frame: Frame, geometries: list[Geometry]
+    ) -> None:
+        body.is_dynamic = body.is_dynamic or bool(body.joints)
+        damping = child(physics, "damping")
+        if damping is not None and damping.type == "Damping":
+            body.damping = number(damping, "linear"), number(damping, "angular")
+        density, mass = number(physics, "density"), number(physics, "mass")
+        volume = sum(volume_of(geometry.shape) for geometry in geometries)
+        if density >= 0:
+            mass = density * volume
+        if mass <= 0:
+            if density < 0:
+                self.findings.error(physics.span, "Physics with neither a density nor a mass")
+                return
+            mass = 1.0
+            self.findings.warning(physics.span, f"'{text(node, 'name')}' has no volume; its mass is 1 kg")
+        centers, matrix = vectors(physics, "centerOfMass"), numbers(physics, "inertiaMatrix")
+        if len(matrix) == 6 or centers or volume <= 0:
+            self._state_inertia(physics, body, frame, mass, centers, matrix)
+            return
+        for geometry in geometries:
+            geometry.mass = mass * volume_of(geometry.shape) / volume
+
+    def _state_inertia(
+        self,
+        physics: Node,
+        body: Body,
+        frame: Frame,
+        mass: float,
+        centers: list[Triple],
+        matrix: list[float],
+    ) -> None:
+        center = centers[0] if centers else (0.0, 0.0, 0.0)
+        if len(matrix) != 6:
+            radius = 0.1  # m; the ball that stands for a solid without an outline
+            matrix = [0.4 * mass * radius**2] * 3 + [0.0] * 3
+        if not _is_inertia(matrix):
+            self.findings.error(physics.span, "inertiaMatrix is none of a rigid body")
+            return
+        center_frame = compose(frame, (center, IDENTITY_ROTATION))
+        body.inertias.append(Inertia(mass, center_frame, tuple(matrix)))
+
+    # Joints and devices
+
+    def _add_joint(self, node: Node, site: _Site) -> None:
+        end = next(iter(children(node, "endPoint")), None)
+        if site.body is None or end is None:
+            self.findings.warning(node.span, f"a {node.type} outside of a solid, or without an end point")
+            return
+        self._link(end, node)
+        node_as_written, end = end, real(end)
+        if not is_a(end, "Solid"):
+            self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
+            return
+        frame = compose(site.frame, _frame_of(end), site.scale)
+        body = self._body(end, site.body, frame, site.robot)
+        body.is_dynamic = child(end, "physics") is not None
+        self._add_axes(node, body, site)
+        self._add_joint_devices(node, body, site.robot)
+        if node_as_written is not end and end.type == "Robot":
+            self.findings.warning(end.span, "a robot at the end of a joint")
+        self._fill(end, body, ORIGIN, _scaled(site.scale, end), site.robot)
+
+    def _add_axes(self, node: Node, body: Body, site: _Site) -> None:
+        """Add the joints of a node, with axis and anchor in the frame of the body."""
+        (position, rotation), slides = body.frame, node.type == "SliderJoint"
+        inverse, first = frames.inverse(rotation), child(node, "jointParameters")
+        anchor = (0.0, 0.0, 0.0) if slides or first is None else _vector_or(first, "anchor", (0.0, 0.0, 0.0))
+        in_parent = compose(site.frame, (anchor, IDENTITY_ROTATION), site.scale)[0]
+        anchor = frames.rotate(inverse, frames.subtract(in_parent, position))
+        for index, (kind, parameters, springs, axis) in enumerate(_axes(node, first)):
+            length = hypot(*axis)
+            if length < 1e-9:
+                self.findings.error(node.span, f"the axis of a {node.type} is zero")
+                continue
+            unit = (axis[0] / length, axis[1] / length, axis[2] / length)
+            direction = frames.rotate(inverse, frames.rotate(site.frame[1], unit))
+            joint = Joint(kind, direction, anchor, node=node, parameters=parameters, index=index)
+            self._read_axis(joint, springs)
+            body.joints.append(joint)
+
+    def _read_axis(self, joint: Joint, springs: Node | None) -> None:
+        if springs is not None:
+            joint.stiffness = max(0.0, number(springs, "springConstant"))
+            joint.damping = max(0.0, number(springs, "dampingConstant"))
+            joint.friction = max(0.0, number(springs, "staticFriction")) if joint.kind != "ball" else 0.0
+        parameters = joint.parameters
+        if parameters is None:
+            return
+        joint.position = number(parameters, "position")
+        low, high = number(parameters, "minStop"), number(parameters, "maxStop")
+        if low > high:
+            self.findings.error(parameters.span, f"minStop {low:g} is above maxStop {high:g}")
+            low, high = high, low
+        joint.limits = low, high
+        if "suspensionSpringConstant" in parameters.fields:
+            self.findings.warning(parameters.span, "the suspension of a joint is not implemented")
+
+    def _add_joint_devices(self, node: Node, body: Body, robot: Robot | None) -> None:
+        for joint in body.joints:
+            for device in children(node, _DEVICE_SLOTS[joint.index]):
+                self._link(device, node)
+                device = real(device)
+                if device.type not in ("RotationalMotor", "LinearMotor", "PositionSensor", "Brake"):
+                    self.findings.error(device.span, f"{device.type} is not a device of a joint")
+                    continue
+                if device.type.endswith("Motor"):
+                    joint.motor = device
+                self._add_device(device, body, ORIGIN, robot, joint)
+
+    def _add_device(
+        self, node: Node, body: Body, frame: Frame, robot: Robot | None, joint: Joint | None = None
+    ) -> None:
+        if robot is None:
+            return
+        name = text(node, "name")
+        if name in robot.devices:
+            self.findings.warning(
+                node.span, f"the robot '{robot.name}' has two devices '{name}'; the first one is used"
+            )
+            return
+        robot.devices[name] = Device(node, node.type, name, body, frame, joint)
+
+
+def _too_many(node: Node, limit: str) -> WorldError:
+    return WorldError.at(node.span, f"the world has more than {limit}")
+
+
+def _points_of(shape: Shape) -> int:
+    match shape:
+        case Mesh(vertices, faces):
+            return len(vertices) + 2 * len(faces)
+        case Grid(heights=heights):
+            return heights.size
+    return 0
+
+
+def _frame_of(node: Node) -> Frame:
+    return vector(node, "translation"), rotation(node, "rotation")
+
+
+def _scaled(scale: Triple, node: Node) -> Triple:
+    x, y, z = _vector_or(node, "scale", UNIT)
+    return scale[0] * x, scale[1] * y, scale[2] * z
+
+
+class _Axis(NamedTuple):
+    """An axis of a joint node: the nodes with its position and stops, and with its spring."""
+
+    kind: JointKind
+    parameters: Node | None
+    springs: Node | None
+    axis: Triple
+
+
+def _axes(node: Node, first: Node | None) -> list[_Axis]:
+    """Return the axes of a joint node. A ball joint has three in turn if it has devices, stops or parameters
+    of single axes."""
+    if node.type == "SliderJoint":
+        return [_axis("slide", first, (0.0, 0.0, 1.0))]
+    if node.type == "Hinge2Joint":
+        second = child(node, "jointParameters2")
+        return [_axis("hinge", first, (1.0, 0.0, 0.0)), _axis("hinge", second, (0.0, 0.0, 1.0))]
+    if node.type != "BallJoint":
+        return [_axis("hinge", first, (1.0, 0.0, 0.0))]
+    others = [child(node, f"jointParameters{number}") for number in (2, 3)]
+    has_devices = any(children(node, slot) for slot in _DEVICE_SLOTS)
+    has_stops = first is not None and number(first, "minStop") != number(first, "maxStop")
+    if not (has_devices or has_stops or any(others)):
+        return [_Axis("ball", None, first, (0.0, 0.0, 1.0))]
+    pairs = zip((first, *others), _ball_axes(*others), strict=True)
+    return [_Axis("hinge", parameters, parameters or first, axis) for parameters, axis in pairs]
+
+
+def _axis(kind: JointKind, parameters: Node | None, default: Triple) -> _Axis:
+    axis = default if parameters is None else _vector_or(parameters, "axis", default)
+    return _Axis(kind, parameters, parameters, axis)
+
+
+def _ball_axes(second: Node | None, third: Node | None) -> tuple[Triple, Triple, Triple]:
+    """Return the three axes of a ball joint. `jointParameters2` has the first one, and `jointParameters3` the
+    third one, as in Webots; the second one is perpendicular to both."""
+    first_axis, last_axis = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    if second is not None:
+        first_axis = vector(second, "axis")
+        last_axis = _perpendicular(first_axis, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    if third is not None:
+        last_axis = vector(third, "axis")
+        if second is None:
+            first_axis = _perpendicular(last_axis, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
+    return first_axis, frames.cross(last_axis, first_axis), last_axis
+
+
+def _perpendicular(axis: Triple, direction: Triple, otherwise: Triple) -> Triple:
+    product = frames.cross(axis, direction)
+    return product if hypot(*product) > 1e-9 else frames.cross(axis, otherwise)
+
+
+def _vector_or(node: Node, name: str, default: Triple) -> Triple:
+    try:
+        return vector(node, name)
+    except KeyError:
+        return default
+
+
+def _is_inertia(matrix: list[float]) -> bool:
+    """Return whether three moments are those of a rigid body: positive, and none above the sum of the
+    others."""
+    xx, yy, zz = matrix[:3]
+    return min(xx, yy, zz) > 0 and xx + yy >= zz * 0.999 and yy + zz >= xx * 0.999 and xx + zz >= yy * 0.999
+
+
+def _reflection(owner: Node) -> float:
+    """Return the share of infra-red light that a solid reflects, by its first appearance.
+
+    The formula is that of the reference of DistanceSensor: 0.2 + 0.8 * red * (1 - roughness / 2).
+    """
+    for node in children(owner):
+        node = real(node)
+        appearance = child(node, "appearance") if node.type == "Shape" else None
+        if appearance is None:
+            continue
+        if appearance.type == "PBRAppearance":
+            red = vector(appearance, "baseColor")[0]
+            return 0.2 + 0.8 * red * (1 - 0.5 * number(appearance, "roughness"))
+        material = child(appearance, "material") if appearance.type == "Appearance" else None
+        if material is not None and material.type == "Material":
+            return 0.2 + 0.8 * vector(material, "diffuseColor")[0]
+    return 1.0

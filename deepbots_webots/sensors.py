@@ -1,0 +1,585 @@
+"""Sensors of motion, of light and of the surroundings, as the module `controller` has them, and what all
+devices share: their node, sampling, lookup tables, and the error of a function that is not implemented.
+
+A sensor returns NaN until its first sampling period has passed. The names of missing functions are facts of
+the reference manual of Webots; a name that is neither there nor implemented does not exist in Webots either.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from abc import ABCMeta, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
+from math import nan
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from deepbots_cli import frames
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.frames import IDENTITY_ROTATION
+from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
+from deepbots_webots.shapes import compose
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame, Triple
+    from deepbots_webots.scene import Device as Spec
+    from deepbots_webots.scene import Light
+    from deepbots_webots.simulation import Simulation
+    from deepbots_webots.syntax import Node
+
+
+class NotImplementedCallError(NotImplementedError, AttributeError):
+    """A controller uses a part of Webots' interface that deepbots does not have."""
+
+
+MISSING: Mapping[str, str] = {
+    "Robot": "batterySensorDisable batterySensorEnable batterySensorGetSamplingPeriod batterySensorGetValue"
+    " getJoystick getMouse getUrdf stepBegin stepEnd waitForUserInputEvent wwiReceiveText wwiSendText"
+    " setMode",
+    "Supervisor": "animationStartRecording animationStopRecording exportImage getSelected movieFailed"
+    " movieIsReady movieStartRecording movieStopRecording simulationRevert"
+    " virtualRealityHeadsetGetOrientation virtualRealityHeadsetGetPosition virtualRealityHeadsetIsUsed"
+    " worldLoad worldReload worldSave",
+    "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
+    " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
+    " moveViewpoint remove restartController setVisibility enableContactPointsTracking"
+    " disableContactPointsTracking enablePoseTracking disablePoseTracking getFromProtoDef",
+    "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
+    " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
+    " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
+    "GPS": "convertToDegreesMinutesSeconds",
+    "TouchSensor": "getLookupTable",
+    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
+    " setExposure setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
+    " getRecognitionObjects getRecognitionSamplingPeriod getRecognitionSegmentationImage"
+    " getRecognitionSegmentationImageArray hasRecognitionSegmentation isRecognitionSegmentationEnabled"
+    " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
+    "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
+    "Speaker": "getEngine getLanguage",
+    "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
+    "Pen": "setInkColor write",
+    "Microphone": "enable getSampleData getSampleSize",
+    "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
+    "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",
+    "Radio": "enable send setAddress setChannel setFrequency setTxPower",
+}
+"""The functions of each class that deepbots does not have."""
+
+
+MISSING_CLASSES = ("AnsiCodes", "CameraRecognitionObject", "Joystick", "Motion", "Mouse", "ImageRef")
+"""The names of the module `controller` of Webots that deepbots does not have."""
+
+
+def missing_name(name: str) -> object:
+    """Raise the error for a name that the module `controller` does not have.
+
+    Raises:
+        AttributeError: As always; a `NotImplementedCallError` if Webots has the name.
+    """
+    if name in MISSING_CLASSES:
+        raise NotImplementedCallError(f"controller.{name} is not implemented")
+    raise AttributeError(f"module 'controller' has no attribute '{name}'")
+
+
+def missing_attribute(owner: type, name: str) -> AttributeError:
+    """Return the error for an attribute that an object of the module `controller` does not have."""
+    for base in owner.__mro__:
+        if name in MISSING.get(base.__name__, "").split():
+            return NotImplementedCallError(f"{base.__name__}.{name} is not implemented")
+    public = [word for base in owner.__mro__ for word in vars(base) if not word.startswith("_")]
+    near = nearest_word(name, public)
+    hint = f"; did you mean '{near}'?" if near else ""
+    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{hint}")
+
+
+# What devices share
+
+
+def returns(attribute: str) -> Callable[[Any], Any]:
+    """Return a method that returns an attribute of its object, such as `_state.acceleration`."""
+    read = attrgetter(attribute)
+    return lambda instance: read(instance)
+
+
+def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
+    """Return a method that returns a list of the items of an attribute."""
+    return lambda instance: list(getattr(instance, attribute))
+
+
+def returns_number(field: str) -> Callable[[Any], float]:
+    """Return a method of a device that returns a number of its node."""
+    return lambda device: number(device._spec.node, field)
+
+
+class _NamedDevices(ABCMeta):
+    """Returns a device of the robot for its name, such as `GPS("gps")`, enabled if a period follows."""
+
+    def __call__(cls, simulation: Any, *arguments: Any) -> Any:
+        if not isinstance(simulation, str):
+            return super().__call__(simulation, *arguments)
+        from deepbots_webots.supervisor import Robot
+
+        device = Robot().getDevice(simulation)
+        if device is not None and arguments:
+            device.enable(*arguments)
+        return device
+
+
+class Device(metaclass=_NamedDevices):
+    """A device of a robot."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        self._simulation, self._spec = simulation, spec
+
+    def __getattr__(self, name: str) -> Any:
+        raise missing_attribute(type(self), name)
+
+    def renew(self) -> None:
+        """Read the fields of the node again, after a supervisor set one."""
+
+    getName = returns("_spec.name")
+
+    def getModel(self) -> str:
+        return text(self._spec.node, "model") if "model" in parameters(self._spec.node) else ""
+
+    def _frame(self) -> Frame:
+        return self._simulation.physics.frame(self._spec.body, self._spec.frame)
+
+    def _warn(self, message: str) -> None:
+        print(f"Warning: {self._spec.name}: {message}", file=sys.stderr)
+
+    def _noise(self, deviation: float) -> float:
+        # A device without noise draws nothing, so that it does not shift the draws of others.
+        return self._simulation.random.gauss(0.0, deviation) if deviation else 0.0
+
+    def _rounded(self, value: float) -> float:
+        resolution = number(self._spec.node, "resolution")
+        return round(value / resolution) * resolution if resolution > 0 else value
+
+
+class Sampled:
+    """What measures once in each sampling period, ms, from the end of the first one on."""
+
+    _simulation: Simulation
+    period: int = 0
+    """The sampling period in whole basic time steps; `due` is the time of the next measurement."""
+    due: int = 0
+    _asked: int = 0
+
+    def enable(self, samplingPeriod: int) -> None:
+        self._asked = int(samplingPeriod)
+        self._begin()
+        self._simulation.enable(self, self._asked)
+
+    def disable(self) -> None:
+        self._asked = 0
+        self._simulation.disable(self)
+
+    getSamplingPeriod = returns("_asked")
+
+    def _begin(self) -> None:
+        """Prepare the first measurement."""
+
+    @abstractmethod
+    def sample(self) -> None:
+        """Measure."""
+
+    def forget(self) -> None:
+        """Discard the state from before a reset of the world."""
+
+
+class Sensor(Device, Sampled):
+    """A device that measures once in each sampling period."""
+
+    def enable(self, samplingPeriod: int) -> None:
+        if samplingPeriod <= 0:
+            raise ValueError(f"enable() of '{self._spec.name}': the sampling period must be positive")
+        super().enable(samplingPeriod)
+
+
+class ScalarSensor(Sensor):
+    """A sensor of one number."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._value = nan
+
+    getValue = returns("_value")
+
+
+class HasLookupTable(Sensor):
+    """A sensor with a lookup table: rows of a measurement, the response, and the share of noise in it."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._table = vectors(spec.node, "lookupTable")
+
+    def getLookupTable(self) -> list[float]:
+        return [value for row in self._table for value in row]
+
+
+class VectorSensor(HasLookupTable):
+    """A sensor of three numbers, in its own frame; an axis that is switched off reads NaN."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._values: Triple = (nan, nan, nan)
+        self._axes = tuple(boolean(spec.node, f"{axis}Axis") for axis in "xyz")
+
+    getValues = returns_list("_values")
+
+    @abstractmethod
+    def _measure(self) -> Triple:
+        """Return the three numbers of now."""
+
+    def sample(self) -> None:
+        x, y, z = (
+            self._rounded(self._response(value)) if is_on else nan
+            for value, is_on in zip(self._measure(), self._axes, strict=True)
+        )
+        self._values = x, y, z
+
+    def _response(self, value: float) -> float:
+        if not self._table:
+            return value
+        answer, share = look_up(self._table, value)
+        return answer * (1.0 + self._noise(share))
+
+
+def look_up(table: Sequence[Triple], value: float) -> tuple[float, float]:
+    """Interpolate the response and its share of noise between the rows of a lookup table. Beyond the ends of
+    the table, the nearest row applies."""
+    if not table:
+        return value, 0.0
+    if value <= table[0][0]:
+        return table[0][1], table[0][2]
+    for (low, first, quiet), (high, last, loud) in pairwise(table):
+        if value <= high:
+            share = (value - low) / (high - low) if high > low else 1.0
+            return first + share * (last - first), quiet + share * (loud - quiet)
+    return table[-1][1], table[-1][2]
+
+
+NORTH = (0.0, 1.0, 0.0)
+"""In the world, whose axes are east, north and up."""
+SONAR_CONE = math.cos(math.pi / 8)
+"""The cosine of the largest angle of incidence at which a sonar hears its echo."""
+
+
+# Motion
+
+
+class Gyro(VectorSensor):
+    """Angular velocity, rad/s."""
+
+    def _measure(self) -> Triple:
+        spec = self._spec
+        angular = self._simulation.physics.velocity(spec.body, spec.frame)[1]
+        return frames.rotate_back(self._frame()[1], angular)
+
+
+class Accelerometer(VectorSensor):
+    """Acceleration without that of gravity, m/s^2: upward 9.81 at rest. It is the change of velocity since
+    the last measurement."""
+
+    def _begin(self) -> None:
+        self._before, self._since = self._velocity(), self._simulation.ticks
+
+    def forget(self) -> None:
+        # A sensor that is due measures right after the reset, in the same basic time step.
+        self._before, self._since = self._velocity(), self._simulation.ticks - self.period
+
+    def _velocity(self) -> Triple:
+        return self._simulation.physics.velocity(self._spec.body, self._spec.frame)[0]
+
+    def _measure(self) -> Triple:
+        now, ticks = self._velocity(), self._simulation.ticks
+        seconds = max(1, ticks - self._since) / 1000
+        change = frames.scaled(frames.subtract(now, self._before), 1 / seconds)
+        self._before, self._since = now, ticks
+        felt = frames.subtract(change, self._simulation.scene.gravity)
+        return frames.rotate_back(self._frame()[1], felt)
+
+
+class Compass(VectorSensor):
+    """The direction of north in the frame of the sensor."""
+
+    def _measure(self) -> Triple:
+        return frames.rotate_back(self._frame()[1], NORTH)
+
+
+class InertialUnit(Sensor):
+    """Orientation in the world."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._angles: Triple = (nan, nan, nan)
+        self._turned = (nan, nan, nan, nan)
+
+    getRollPitchYaw = returns_list("_angles")
+
+    def getQuaternion(self) -> list[float]:
+        """Return the quaternion x, y, z, w."""
+        return list(self._turned)
+
+    getNoise = returns_number("noise")
+
+    def sample(self) -> None:
+        rotation = self._frame()[1]
+        noise, node = self.getNoise(), self._spec.node
+        x, y, z = (
+            self._rounded(angle + self._noise(noise)) if boolean(node, f"{axis}Axis") else nan
+            for axis, angle in zip("xyz", frames.roll_pitch_yaw(rotation), strict=True)
+        )
+        self._angles = x, y, z
+        self._turned = frames.quaternion(x, y, z) if noise else rotation
+
+
+class GPS(Sensor):
+    """Position (m) and velocity (m/s) in the world."""
+
+    LOCAL, WGS84 = 0, 1
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._values: Triple = (nan, nan, nan)
+        self._speed: Triple = (nan, nan, nan)
+
+    getValues = returns_list("_values")
+
+    def getSpeed(self) -> float:
+        return math.hypot(*self._speed)
+
+    getSpeedVector = returns_list("_speed")
+
+    def getCoordinateSystem(self) -> int:
+        return self.LOCAL
+
+    def sample(self) -> None:
+        spec, node = self._spec, self._spec.node
+        accuracy, blur = number(node, "accuracy"), number(node, "speedNoise")
+        x, y, z = (self._rounded(coordinate + self._noise(accuracy)) for coordinate in self._frame()[0])
+        self._values = x, y, z
+        moving = self._simulation.physics.velocity(spec.body, spec.frame)[0]
+        u, v, w = (component + self._noise(blur) for component in moving)
+        self._speed = u, v, w
+
+
+class Altimeter(ScalarSensor):
+    """Height in the world, m."""
+
+    def sample(self) -> None:
+        height = self._frame()[0][2] + self._noise(number(self._spec.node, "accuracy"))
+        self._value = self._rounded(height)
+
+
+# Surroundings
+
+
+class DistanceSensor(ScalarSensor, HasLookupTable):
+    """The response of a lookup table to the distance along rays. Rays pass through the robot of the
+    sensor."""
+
+    GENERIC, INFRA_RED, SONAR, LASER = 0, 1, 2, 3
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self.renew()
+
+    def renew(self) -> None:
+        """Read the fields of the node, which a supervisor may have set."""
+        node = self._spec.node
+        self._type = text(node, "type")
+        self._table = vectors(node, "lookupTable")
+        self._reach = max((row[0] for row in self._table), default=0.0)
+        count, aperture = integer(node, "numberOfRays"), number(node, "aperture")
+        self._directions = ray_directions(1 if self._type == "laser" else max(1, count), aperture)
+        self._weights = _ray_weights(self._directions, aperture, number(node, "gaussianWidth"))
+
+    def getType(self) -> int:
+        return {"infra-red": 1, "sonar": 2, "laser": 3}.get(self._type, 0)
+
+    def getMaxValue(self) -> float:
+        return max((row[1] for row in self._table), default=nan)
+
+    def getMinValue(self) -> float:
+        return min((row[1] for row in self._table), default=nan)
+
+    getAperture = returns_number("aperture")
+
+    def sample(self) -> None:
+        if not self._table:
+            self._value = self._distance()
+            return
+        answer, share = look_up(self._table, self._distance())
+        self._value = self._rounded(answer * (1.0 + self._noise(share)))
+
+    def _distance(self) -> float:
+        """Return the distance that the lookup table gets, m."""
+        start, rotation = self._frame()
+        physics = self._simulation.physics
+        directions = [frames.rotate(rotation, direction) for direction in self._directions]
+        reach = self._reach or 1e3
+        hits = physics.rays.cast(start, directions, reach, self._spec.body.robot)
+        if self._type in ("sonar", "laser"):
+            return min(
+                reach if self._type == "sonar" and cosine < SONAR_CONE else distance
+                for distance, _, cosine in hits
+            )
+        # A surface that reflects less looks farther away to an infra-red sensor of Webots.
+        if self._type == "infra-red":
+            distances = [
+                distance / physics.geoms[geom][1].reflection if geom >= 0 else distance
+                for distance, geom, _ in hits
+            ]
+        else:
+            distances = [distance for distance, _, _ in hits]
+        return sum(map(math.prod, zip(self._weights, distances, strict=True)))
+
+
+class TouchSensor(Sensor):
+    """A bumper (0 or 1), or the contact force on its bounding object, N."""
+
+    BUMPER, FORCE, FORCE3D = 0, 1, 2
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._type = text(spec.node, "type")
+        self._value, self._values = nan, (nan, nan, nan)
+
+    def getType(self) -> int:
+        return {"force": 1, "force-3d": 2}.get(self._type, 0)
+
+    getValue = returns("_value")
+    getValues = returns_list("_values")
+
+    def sample(self) -> None:
+        physics, node = self._simulation.physics, self._spec.node
+        total: Triple = (0.0, 0.0, 0.0)
+        touches = False
+        for first, second, _, force in physics.contacts():
+            for geom, sign in ((second, 1.0), (first, -1.0)):
+                if physics.geoms[geom][1].owner is node:
+                    touches, total = True, frames.add(total, frames.scaled(force, sign))
+        local = frames.rotate_back(self._frame()[1], total)
+        self._values = local
+        if self._type == "bumper":
+            self._value = float(touches)
+        else:
+            answer, share = look_up(vectors(node, "lookupTable"), abs(local[0]))
+            self._value = self._rounded(answer * (1.0 + self._noise(share)))
+
+
+def ray_directions(count: int, aperture: float) -> list[Triple]:
+    """Return unit vectors around x: one along it, two to the sides, and more on a circle around the first."""
+    half = min(aperture, 2 * math.pi) / 2
+    if count == 1:
+        return [(1.0, 0.0, 0.0)]
+    if count == 2:
+        return [(math.cos(half), side * math.sin(half), 0.0) for side in (1.0, -1.0)]
+    ring = count - 1
+    angles = [2 * math.pi * number / ring for number in range(ring)]
+    around = [(math.cos(half), math.sin(half) * math.cos(a), math.sin(half) * math.sin(a)) for a in angles]
+    return [(1.0, 0.0, 0.0), *around]
+
+
+def _ray_weights(directions: Sequence[Triple], aperture: float, width: float) -> list[float]:
+    """Return the weights of rays, a Gaussian of their angle to the axis."""
+    spread = aperture * width
+    angles = [math.acos(min(1.0, x)) for x, _, _ in directions]
+    weights = [math.exp(-((angle / spread) ** 2)) if spread > 0 else 1.0 for angle in angles]
+    total = sum(weights) or 1.0
+    return [weight / total for weight in weights]
+
+
+SUN_DISTANCE_M = 1000.0
+"""The distance of a DirectionalLight in the search for obstacles, m."""
+_WITHOUT_ATTENUATION = (1.0, 0.0, 0.0)
+
+
+class _Beam(NamedTuple):
+    """The light of one source at a position: the direction to the source, its distance (m), and the shares of
+    its intensity that remain after the attenuation by distance and in the cone of a SpotLight."""
+
+    direction: Triple
+    distance: float
+    attenuation: float
+    spot: float
+
+
+class LightSensor(ScalarSensor, HasLookupTable):
+    """The response of a lookup table to the irradiance, W/m^2."""
+
+    def sample(self) -> None:
+        answer, share = look_up(self._table, self._irradiance())
+        self._value = self._rounded(answer * (1.0 + self._noise(share)))
+
+    def _irradiance(self) -> float:
+        """Return the mean over the colors of the light that arrives, through the color filter."""
+        node = self._spec.node
+        position, rotation = self._frame()
+        normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
+        total = 0.0
+        for light in self._simulation.scene.lights:
+            if not boolean(light.node, "on"):
+                continue
+            beam = _beam(light, self._frame_of(light), position)
+            direct = (
+                number(light.node, "intensity") * max(0.0, frames.dot(normal, beam.direction)) * beam.spot
+            )
+            if direct and boolean(node, "occlusion") and self._is_hidden(position, beam):
+                direct = 0.0
+            color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
+            total += beam.attenuation * (_ambient(light.node) + direct) * color
+        return total
+
+    def _frame_of(self, light: Light) -> Frame:
+        return light.frame if light.body is None else self._simulation.physics.frame(light.body, light.frame)
+
+    def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
+        rays, robot = self._simulation.physics.rays, self._spec.body.robot
+        return rays.cast(position, [beam.direction], beam.distance, robot)[0][1] >= 0
+
+
+def _ambient(light: Node) -> float:
+    """Return the ambient intensity of a source. As in Webots, one with an attenuation has none."""
+    has_attenuation = (
+        light.type != "DirectionalLight" and vector(light, "attenuation") != _WITHOUT_ATTENUATION
+    )
+    return 0.0 if has_attenuation else number(light, "ambientIntensity")
+
+
+def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:
+    """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
+    node = light.node
+    if node.type == "DirectionalLight":
+        back = frames.scaled(_unit(vector(node, "direction")), -1.0)
+        return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)
+    source = compose(frame, (vector(node, "location"), IDENTITY_ROTATION))[0]
+    offset = frames.subtract(source, position)
+    distance = math.hypot(*offset)
+    constant, linear, square = vector(node, "attenuation")
+    weakened = constant + linear * distance + square * distance**2
+    direction = _unit(offset)
+    spot = 1.0
+    if node.type == "SpotLight":
+        axis = frames.rotate(frame[1], _unit(vector(node, "direction")))
+        # The product of unit vectors may round beyond 1.
+        spot = _spot_share(node, math.acos(max(-1.0, min(1.0, -frames.dot(axis, direction)))))
+    return _Beam(direction, distance, 1 / weakened if weakened > 0 else 0.0, spot)
+
+
+def _spot_share(node: Node, angle: float) -> float:
+    """Return the share of a SpotLight at an angle (rad) to its axis: 1 within `beamWidth`, 0 beyond
+    `cutOffAngle`, and a straight line between them."""
+    width, edge = number(node, "beamWidth"), number(node, "cutOffAngle")
+    if angle > edge:
+        return 0.0
+    return 1.0 if angle <= width else (edge - angle) / (edge - width)
+
+
+def _unit(values: Triple) -> Triple:
+    length = math.hypot(*values)
+    return frames.scaled(values, 1 / length) if length else values

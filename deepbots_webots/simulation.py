@@ -1,0 +1,294 @@
+"""Time, messages and sampling of a world that runs; its pace.
+
+The clock counts basic time steps. In each one, the messages that controllers sent before leave, the physics
+advances, these messages arrive, a reset that a supervisor asked for happens, and the sensors that are due
+measure. So a message needs one basic time step, a reset happens at the end of the step, and a sensor measures
+first when its first sampling period has passed, all as in Webots.
+
+Unlike in Webots, a reset empties the queues of messages. In Webots, the messages of a supervisor that reads
+one in each step are one step older after each reset.
+"""
+
+from __future__ import annotations
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property
+from math import cos, hypot, inf, pi
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli import frames
+from deepbots_cli.records import dataclass
+from deepbots_webots.nodes import integer, number, text
+from deepbots_webots.physics import Physics
+
+if TYPE_CHECKING:
+    from deepbots_cli.diagnostics import Span
+    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_webots.rendering import Pictures
+    from deepbots_webots.scene import Device, Robot, Scene
+    from deepbots_webots.sensors import Device as DeviceObject
+    from deepbots_webots.sensors import Sampled
+
+
+@dataclass(eq=False)
+class Packet:
+    """A message on its way or in a queue.
+
+    Once it arrived, `offset` is the vector from the receiver to the emitter in the world (m), and `rotation`
+    is the rotation of the receiver. `noise` is the factor of its signal strength.
+    """
+
+    data: bytes
+    emitter: Device
+    channel: int
+    range: float
+    offset: Triple = (0.0, 0.0, 0.0)
+    rotation: Quaternion = frames.IDENTITY_ROTATION
+    noise: float = 1.0
+
+    @property
+    def distance(self) -> float:
+        return hypot(*self.offset)
+
+    def strength(self) -> float:
+        """Return the signal strength, 1 at 1 m."""
+        return self.noise / self.distance**2 if self.distance else inf
+
+    def direction(self) -> Triple:
+        """Return the direction of the emitter in the frame of the receiver."""
+        length = self.distance or 1.0
+        return frames.rotate_back(self.rotation, frames.scaled(self.offset, 1 / length))
+
+
+class Inbox:
+    """The messages of a receiver: those that arrived, and those that its controller sees."""
+
+    def __init__(self, device: Device) -> None:
+        self.device = device
+        self.channel = integer(device.node, "channel")
+        self.is_enabled = False
+        self.arrived: list[Packet] = []
+        self.queue: deque[Packet] = deque()
+        self.is_infra_red = text(device.node, "type") == "infra-red"
+        self.noise = number(device.node, "signalStrengthNoise")
+
+
+class Simulation:
+    """A world that runs. Times are in ms."""
+
+    def __init__(self, scene: Scene, span: Span) -> None:
+        """Build the world.
+
+        Raises:
+            WorldError: MuJoCo refuses the world.
+        """
+        self.scene = scene
+        self.physics = Physics(scene, span)
+        self.basic_step = scene.basic_step
+        self.ticks = self.time = 0
+        """The time since the start, and since the last reset."""
+        self.random = random.Random(scene.seed)
+        self.current: Robot | None = None
+        """The robot whose controller runs now."""
+        self.quit_status: int | None = None
+        self.inboxes: dict[Device, Inbox] = {}
+        self.custom_data: dict[Robot, str] = {}
+        self.physics_seconds = 0.0
+        """The CPU time that the physics took."""
+        self.wait: Callable[[Robot, int], int] = self._advance_alone
+        """What a controller's step of some ms does; it returns -1 at the end of the simulation."""
+        self.objects: dict[Device, DeviceObject] = {}
+        """The objects of devices that controllers asked for."""
+        self.states: dict[str, Any] = {}
+        """The states that supervisors saved, by name."""
+        self.held_keys: Callable[[], Sequence[int]] | None = None
+        """Returns the codes of the keys that a person holds, the newest first; None without a page."""
+        self._outbox: list[Packet] = []
+        self._sensors: list[Sampled] = []
+        self._reset_is_due = False
+        for robot in scene.robots:
+            self.custom_data[robot] = text(robot.node, "customData")
+            for device in robot.devices.values():
+                if device.type == "Receiver":
+                    self.inboxes[device] = Inbox(device)
+
+    # Steps
+
+    def run_step(self) -> None:
+        """Advance by one basic time step."""
+        outbox, self._outbox = self._outbox, []
+        started = time.thread_time()
+        self.physics.step()
+        # CPU time of this thread: that of others, such as the page's, is left out.
+        self.physics_seconds += time.thread_time() - started
+        self.physics.end_pushes()
+        self.ticks += self.basic_step
+        self.time += self.basic_step
+        if self._reset_is_due:
+            self._reset()
+        else:
+            for packet in outbox:
+                self._deliver(packet)
+        for sensor in self._sensors:
+            if sensor.due <= self.ticks:
+                sensor.due += sensor.period
+                sensor.sample()
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """Draws the world."""
+        from deepbots_webots.rendering import Pictures
+
+        return Pictures(self.physics)
+
+    def _advance_alone(self, robot: Robot, period: int) -> int:
+        for _ in range(max(1, -(-period // self.basic_step))):
+            self.run_step()
+        return 0
+
+    def ask_for_reset(self) -> None:
+        """Reset the world at the end of the next basic time step."""
+        self._reset_is_due = True
+
+    def _reset(self) -> None:
+        self._reset_is_due = False
+        self.physics.reset()
+        self.time = 0
+        self._outbox.clear()
+        for robot in self.scene.robots:
+            self.custom_data[robot] = text(robot.node, "customData")
+        for inbox in self.inboxes.values():
+            inbox.arrived.clear()
+            inbox.queue.clear()
+        for sensor in self._sensors:
+            sensor.forget()
+
+    # Sensors
+
+    def enable(self, sensor: Sampled, period: int) -> None:
+        """Let a device measure in every `period` ms, in whole basic time steps; first after one period."""
+        steps = max(1, -(-period // self.basic_step))  # rounded up
+        sensor.period = steps * self.basic_step
+        sensor.due = self.ticks + sensor.period
+        if sensor not in self._sensors:
+            self._sensors.append(sensor)
+
+    def disable(self, sensor: Sampled) -> None:
+        if sensor in self._sensors:
+            self._sensors.remove(sensor)
+        sensor.period = 0
+
+    # Messages
+
+    def send(self, emitter: Device, data: bytes, channel: int, reach: float) -> None:
+        """Send a message in the next basic time step; `reach` is in m, negative without a limit."""
+        self._outbox.append(Packet(data, emitter, channel, reach))
+
+    def _deliver(self, packet: Packet) -> None:
+        sender, physics = packet.emitter, self.physics
+        robot, infra_red = sender.body.robot, text(sender.node, "type") == "infra-red"
+        start = physics.position(sender.body, sender.frame)
+        for device, inbox in self.inboxes.items():
+            fits = packet.channel in (-1, inbox.channel) or inbox.channel == -1
+            if not (fits and inbox.is_enabled) or device.body.robot is robot:
+                continue
+            if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
+                continue
+            position, rotation = physics.frame(device.body, device.frame)
+            arrived = replace(packet, offset=frames.subtract(start, position), rotation=rotation)
+            if 0 <= packet.range < arrived.distance:
+                continue
+            if inbox.noise:
+                arrived.noise = 1 + self.random.gauss(0.0, inbox.noise)
+            inbox.arrived.append(arrived)
+
+    def _sees(self, sender: Device, receiver: Device) -> bool:
+        """Return whether infra-red light of an emitter reaches a receiver: within both cones, and past
+        obstacles."""
+        start, sent = self.physics.frame(sender.body, sender.frame)
+        end, received = self.physics.frame(receiver.body, receiver.frame)
+        offset = frames.subtract(end, start)
+        distance = frames.dot(offset, offset) ** 0.5
+        if distance == 0:
+            return True
+        unit = frames.scaled(offset, 1 / distance)
+        for device, rotation, direction in (
+            (sender, sent, unit),
+            (receiver, received, frames.scaled(unit, -1.0)),
+        ):
+            aperture = number(device.node, "aperture")
+            if aperture >= 0 and not _within_cone(frames.rotate_back(rotation, direction), aperture):
+                return False
+        hit = self.physics.rays.cast(start, [unit], distance, sender.body.robot)[0]
+        # The ray may end at the robot that carries the receiver, which hides nothing.
+        return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
+
+
+def _within_cone(direction: Triple, aperture: float) -> bool:
+    return direction[0] >= cos(min(aperture / 2, pi))
+
+
+# Pace: as fast as it can, at the pace of a clock, or by single steps
+
+MAX_DELAY_S = 0.1
+"""The maximum delay of the world behind the clock that it catches up, s."""
+
+
+class Pace:
+    """The pace of a world. Any thread may change it while the world waits."""
+
+    def __init__(self, simulation: Simulation, *, is_fast: bool) -> None:
+        """Let the world run from now on: as fast as it can if `is_fast`, else at the pace of a clock."""
+        self._simulation = simulation
+        self._changed = threading.Condition()
+        self._single_steps = 0
+        self.on_pause: Callable[[], None] = lambda: None
+        """Called in the thread of the world before it stands still."""
+        self.wants_restart = False
+        """Whether the run is to end, and to start again."""
+        self.run(is_fast=is_fast)
+
+    def run(self, *, is_fast: bool) -> None:
+        with self._changed:
+            self.is_fast, self.is_paused = is_fast, False
+            self._begin = time.monotonic() - self._simulation.ticks / 1000
+            self._changed.notify_all()
+
+    def pause(self) -> None:
+        with self._changed:
+            self.is_paused, self._single_steps = True, 0
+
+    def step_once(self) -> None:
+        """Pause, and make one basic time step."""
+        with self._changed:
+            self.is_paused = True
+            self._single_steps += 1
+            self._changed.notify_all()
+
+    def restart(self) -> None:
+        """Ask for the end of the run, and a new one."""
+        with self._changed:
+            self.wants_restart = True
+            self._changed.notify_all()
+
+    def wait(self) -> bool:
+        """Wait until the next basic time step may begin; returns whether the world was paused."""
+        if self.is_paused:
+            self.on_pause()
+            with self._changed:
+                self._changed.wait_for(self._may_go_on)
+                self._single_steps = max(0, self._single_steps - 1)
+            return True
+        if not self.is_fast:
+            left = self._begin + self._simulation.ticks / 1000 - time.monotonic()
+            self._begin += max(0.0, -left - MAX_DELAY_S)
+            time.sleep(max(0.0, left))
+        return False
+
+    def _may_go_on(self) -> bool:
+        return self._single_steps > 0 or not self.is_paused or self.wants_restart

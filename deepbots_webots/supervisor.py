@@ -1,0 +1,228 @@
+"""The classes Robot, Supervisor and Keyboard of the module `controller`."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_webots.devices import device_object
+from deepbots_webots.nodes import text, texts, walk
+from deepbots_webots.scene import DEVICES
+from deepbots_webots.sensors import Sampled, missing_attribute, returns
+from deepbots_webots.syntax import Node as Written
+from deepbots_webots.tree import Node, number_of
+
+if TYPE_CHECKING:
+    from deepbots_webots.simulation import Simulation
+
+_ACTIVE: list[Simulation] = []
+"""The simulation that runs in this process; the module `controller` belongs to it."""
+
+
+def activate(simulation: Simulation) -> None:
+    """Let the module `controller` act on a simulation."""
+    _ACTIVE[:] = [simulation]
+
+
+def deactivate() -> None:
+    _ACTIVE.clear()
+
+
+def _active() -> Simulation:
+    if not _ACTIVE:
+        raise RuntimeError("no simulation runs; start the world with: deepbots webots WORLD.wbt --allow-code")
+    return _ACTIVE[0]
+
+
+class Robot:
+    """The robot whose controller this is."""
+
+    MODE_SIMULATION, MODE_CROSS_COMPILATION, MODE_REMOTE_CONTROL = 0, 1, 2
+
+    def __init__(self) -> None:
+        simulation = _active()
+        if simulation.current is None:
+            raise RuntimeError("only a controller can create a Robot")
+        # The prefix keeps these names apart from those of controllers, whose classes derive from this one.
+        self._webots_simulation, self._webots_robot = simulation, simulation.current
+        self.keyboard = Keyboard()
+
+    def __getattr__(self, name: str) -> Any:
+        if is_device_getter(name):
+            return self.getDevice
+        raise missing_attribute(type(self), name)
+
+    def step(self, timeStep: int | float | None = None) -> int:
+        """Advance the simulation by `timeStep` ms, or by one basic time step; returns -1 at its end."""
+        period = self._webots_simulation.basic_step if timeStep is None else int(timeStep)
+        return self._webots_simulation.wait(self._webots_robot, period)
+
+    def getBasicTimeStep(self) -> float:
+        return float(self._webots_simulation.basic_step)
+
+    def getTime(self) -> float:
+        """Return the simulated time, s."""
+        return self._webots_simulation.time / 1000
+
+    getName = returns("_webots_robot.name")
+    getControllerName = returns("_webots_robot.controller")
+    getSupervisor = returns("_webots_robot.is_supervisor")
+    getMode = returns("MODE_SIMULATION")
+    getKeyboard = returns("keyboard")
+
+    def getModel(self) -> str:
+        return text(self._webots_robot.node, "model")
+
+    def getSynchronization(self) -> bool:
+        return True
+
+    def getControllerArguments(self) -> str:
+        return " ".join(texts(self._webots_robot.node, "controllerArgs"))
+
+    def getCustomData(self) -> str:
+        return self._webots_simulation.custom_data[self._webots_robot]
+
+    def setCustomData(self, customData: str) -> None:
+        self._webots_simulation.custom_data[self._webots_robot] = str(customData)
+
+    getData, setData = getCustomData, setCustomData
+
+    def getProjectPath(self) -> str:
+        return sys.path[0]
+
+    def getDevice(self, name: str) -> Any:
+        """Return a device, or None with a warning if there is none of this name."""
+        spec = self._webots_robot.devices.get(name)
+        if spec is not None:
+            return device_object(self._webots_simulation, spec)
+        near = nearest_word(name, self._webots_robot.devices)
+        hint = f"; did you mean '{near}'?" if near else ""
+        print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
+        return None
+
+    def getNumberOfDevices(self) -> int:
+        return len(self._webots_robot.devices)
+
+    def getDeviceByIndex(self, index: int) -> Any:
+        return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
+
+
+_LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])
+"""Devices without a function such as `getGyro`, which releases before R2022 have."""
+_DEVICE_CLASSES = DEVICES - _LATER_DEVICES | {"Motor"}
+
+
+def is_device_getter(name: str) -> bool:
+    """Return whether a name is that of a function such as `getGyro`."""
+    return name.startswith("get") and name[3:] in _DEVICE_CLASSES
+
+
+class Supervisor(Robot):
+    """A robot that sees and changes the whole world."""
+
+    SIMULATION_MODE_PAUSE, SIMULATION_MODE_REAL_TIME, SIMULATION_MODE_FAST = 0, 1, 2
+
+    def __init__(self) -> None:
+        super().__init__()
+        robot = self._webots_robot
+        if not robot.is_supervisor:
+            print(
+                f"Error: '{robot.name}' is not a supervisor; set its field supervisor TRUE", file=sys.stderr
+            )
+
+    def getRoot(self) -> Node:
+        root = Written("Group", self._webots_robot.node.span)
+        return Node(self._webots_simulation, root, root_of=self._webots_simulation.scene.nodes)
+
+    def getSelf(self) -> Node:
+        return Node(self._webots_simulation, self._webots_robot.written)
+
+    def getFromDef(self, name: str) -> Node | None:
+        """Return the node of a DEF name, or of a path of DEF names with dots between them."""
+        nodes = self._webots_simulation.scene.nodes
+        match: Written | None = None
+        for def_name in name.split("."):
+            # `walk` yields the node itself first, which is not a part of itself.
+            match = next(
+                (node for node in _public(nodes) if node.name == def_name and node is not match), None
+            )
+            if match is None:
+                return None
+            nodes = [match]
+        return None if match is None else Node(self._webots_simulation, match)
+
+    def getFromId(self, id: int) -> Node | None:
+        for node in walk(self._webots_simulation.scene.nodes):
+            if number_of(self._webots_simulation, node) == id:
+                return Node(self._webots_simulation, node)
+        return None
+
+    def getFromDevice(self, device: Any) -> Node:
+        return Node(self._webots_simulation, device._spec.node)
+
+    def simulationReset(self) -> None:
+        """Bring the world back to its start, at the end of the next step."""
+        self._webots_simulation.ask_for_reset()
+
+    def simulationResetPhysics(self) -> None:
+        """Set all velocities to 0."""
+        self._webots_simulation.physics.stop()
+
+    def simulationQuit(self, status: int = 0) -> None:
+        """End the simulation in the next step, with an exit code."""
+        self._webots_simulation.quit_status = int(status)
+
+    simulationGetMode = returns("SIMULATION_MODE_FAST")
+
+    def simulationSetMode(self, mode: int) -> None:
+        """Do nothing: the world runs as fast as it can."""
+
+    def setLabel(self, *_: Any) -> None:
+        """Do nothing: there is no window."""
+
+
+def _public(nodes: list[Written]) -> list[Written]:
+    """Return the nodes that a DEF name may mean: none of the body of a PROTO."""
+    return [node for node in walk(nodes) if not node.is_internal]
+
+
+class Keyboard(Sampled):
+    """The keyboard: the keys that a person holds on the page of `--view`."""
+
+    END, HOME, LEFT, UP, RIGHT, DOWN = 312, 313, 314, 315, 316, 317
+    PAGEUP, PAGEDOWN, NUMPAD_HOME = 366, 367, 375
+    NUMPAD_LEFT, NUMPAD_UP, NUMPAD_RIGHT, NUMPAD_DOWN, NUMPAD_END = 376, 377, 378, 379, 382
+    KEY, SHIFT, CONTROL, ALT = 0x0000FFFF, 0x00010000, 0x00020000, 0x00040000
+
+    def __init__(self) -> None:
+        self._simulation = _active()
+        self._codes: list[int] = []
+
+    def enable(self, samplingPeriod: int) -> None:
+        """Read the keys once in each period, in ms; 0 disables."""
+        before = self._asked
+        self.disable()
+        if samplingPeriod <= 0:
+            return
+        super().enable(samplingPeriod)
+        if self._simulation.held_keys is None and not before:
+            print(f"Warning: {_NO_KEYS}", file=sys.stderr)
+
+    def disable(self) -> None:
+        self._codes = []
+        super().disable()
+
+    def sample(self) -> None:
+        """Read the keys that are held now."""
+        held = self._simulation.held_keys
+        self._codes = [] if held is None else list(held())
+
+    def getKey(self) -> int:
+        """Return the code of the next key of those that were held at the last reading, -1 after the last."""
+        return self._codes.pop(0) if self._codes else -1
+
+
+_NO_KEYS = (
+    "no key of the Keyboard is ever pressed: there is no window; with --view, you press keys on the page"
+)

@@ -1,0 +1,291 @@
+"""The page of a world that runs: its bodies in the browser, time, the output of controllers, and keys.
+
+The world does not wait for the page: the thread of the world leaves the poses of the bodies up to 30 times a
+second, and a thread of the page sends them while a browser shows it.
+"""
+
+from __future__ import annotations
+
+import html
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from math import atan, tan
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from deepbots_cli import frames
+from deepbots_cli.geometry import HeightGrid
+from deepbots_cli.port import View
+from deepbots_cli.view import server
+from deepbots_cli.view.panel import heading, hint, notice, set_theme
+from deepbots_cli.view.playback import RELEASE_TIMEOUT_S
+from deepbots_cli.view.scene import (
+    MAX_CELLS,
+    add_shape,
+    add_triangles,
+    aim_camera,
+    shaded_mesh,
+    with_edges,
+)
+from deepbots_webots.rendering import HEIGHT, WIDTH, Viewpoint
+from deepbots_webots.shapes import Grid, Mesh, Plane, color_of, sky_color, visible_shape
+
+if TYPE_CHECKING:
+    from types import TracebackType
+
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.view.playback import Axes, Keys
+    from deepbots_webots.shapes import Shape
+    from deepbots_webots.simulation import Pace, Simulation
+
+FRAME_RATE = 30
+"""Pictures per second of real time."""
+_FRAMES_PER_TEXT = 6
+_SPEED_INTERVAL_S = 0.5
+_MAX_LINES, _MAX_CHARACTERS, _MAX_ROBOTS = 8, 200, 10
+"""What the page shows of the output: lines of each robot, characters of a line, and robots."""
+_FAREWELL_S = 0.3  # s; the time in which a browser gets the last picture
+_DEFAULT_PLANE_M = 100.0
+
+# The code that Webots has for a key: the character in upper case, or a number from 312 on, with the
+# modifiers. A character that is not of ASCII is that of the key on an English keyboard.
+_SENT_KEY = """e => {
+  const pad = {Home: 375, ArrowLeft: 376, ArrowUp: 377, ArrowRight: 378, ArrowDown: 379, End: 382};
+  const keys = {End: 312, Home: 313, ArrowLeft: 314, ArrowUp: 315, ArrowRight: 316, ArrowDown: 317,
+    PageUp: 366, PageDown: 367};
+  const text = /^[ -~]$/.test(e.key) ? e.key : (/^(?:Key|Digit)(.)$/.exec(e.code) ?? [])[1];
+  const code = (e.location == 3 && pad[e.key]) || keys[e.key] || text?.toUpperCase().charCodeAt(0);
+  const modifiers = 0x10000 * e.shiftKey + 0x20000 * e.ctrlKey + 0x40000 * e.altKey;
+  return !code || e.metaKey ? null : code + modifiers; }"""
+
+
+class HeldKeys:
+    """The keys that are held on the page, as the codes of Webots."""
+
+    def __init__(self) -> None:
+        self._held: tuple[list[int], float] = ([], 0.0)
+
+    def hold(self, keys: Keys, axes: Axes) -> None:
+        """Take the codes that are held now, the newest first. They are released if no message arrives for
+        `RELEASE_TIMEOUT_S`.
+
+        Raises:
+            ValueError: A key is not a number.
+        """
+        self._held = [int(key) for key in keys][: server.MAX_KEYS], time.monotonic()
+
+    def codes(self) -> list[int]:
+        codes, at = self._held
+        return codes if time.monotonic() - at < RELEASE_TIMEOUT_S else []
+
+
+class Viewer:
+    """Serves a world: a context manager, and a function to call after each step. `address` is its URL."""
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        pace: Pace,
+        title: str,
+        host: str,
+        port: int | None,
+        *,
+        can_restart: bool = False,
+    ) -> None:
+        """Start the server, and show the world as it is now. A button asks the pace for a restart, if the
+        run `can_restart`.
+
+        Raises:
+            UsageError: The host is unknown, or the port is in use.
+            MissingExtraError: viser is not installed.
+        """
+        self._title, self._can_restart = title, can_restart
+        self._top = "/world"
+        """The node of the world. A browser keeps the poses of nodes whose names return."""
+        self._keys = HeldKeys()
+        self._server, self.address = server.serve(
+            host, port, f"deepbots {title}", self._keys.hold, needs_token=True, sent_key=_SENT_KEY
+        )
+        try:
+            self._open(simulation, pace)
+        except BaseException:
+            server.stop(self._server)
+            raise
+
+    def _open(self, simulation: Simulation, pace: Pace) -> None:
+        self._simulation, self._pace = simulation, pace
+        self._viewpoint = Viewpoint(simulation)
+        self._lines: dict[str, deque[str]] = {}
+        self._build(self._title)
+        simulation.held_keys = self._keys.codes
+        pace.on_pause = self._read
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> Viewer:
+        self._thread.start()
+        return self
+
+    def show(self, simulation: Simulation, pace: Pace) -> None:
+        """Show another world in place of the present one, which has ended."""
+        self._ended.set()
+        self._thread.join()
+        self._top += "'"
+        self._server.scene.reset()
+        self._server.gui.reset()
+        self._open(simulation, pace)
+        self._thread.start()
+
+    def __call__(self) -> None:
+        """Leave the poses for the page, if it is time for a picture."""
+        if time.monotonic() >= self._due or self._pace.is_paused:
+            self._read()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        self._thread.join()
+        if kind is None:  # else the world may still advance in the thread of a controller
+            self._read()
+        self._draw()
+        self._write("the run has ended")
+        if self._server.get_clients():
+            self._server.flush()
+            time.sleep(_FAREWELL_S)
+        server.stop(self._server)
+
+    def print_line(self, robot: str, line: str) -> None:
+        """Show a line that the controller of a robot prints."""
+        lines = self._lines.setdefault(robot, deque(maxlen=_MAX_LINES))
+        lines.append(line[:_MAX_CHARACTERS])
+
+    # The scene
+
+    def _build(self, title: str) -> None:
+        scene, world = self._server.scene, self._simulation.scene
+        self._root = scene.add_frame(self._top, show_axes=False)
+        self._nodes = [scene.add_frame(f"{self._top}/{body.index}", show_axes=False) for body in world.bodies]
+        for number, visual in enumerate(world.visuals):
+            shape = visible_shape(visual, world.files)
+            if shape is not None:
+                above = self._top if visual.body is None else f"{self._top}/{visual.body.index}"
+                self._add(f"{above}/shape{number}", shape, color_of(visual.node, world.files), visual.frame)
+        sky = sky_color(world.nodes)
+        pixel = None if sky is None else np.full((1, 1, 3), np.multiply(sky, 255), np.uint8)
+        scene.set_background_image(pixel)  # None removes that of a world before a restart
+        self._sent = np.full((len(self._nodes), 7), np.nan)
+        self._read()
+        self._draw()
+        self._aim()
+        self._add_panel(title)
+
+    def _add(self, name: str, shape: Shape, color: Any, frame: Frame) -> None:
+        import trimesh
+
+        scene = self._server.scene
+        match shape:
+            case Mesh(vertices, faces):
+                solid = trimesh.Trimesh(vertices, faces, process=False)
+                add_triangles(scene, name, with_edges(solid), color, frame)
+            case Plane(size):
+                x, y = (*size, _DEFAULT_PLANE_M, _DEFAULT_PLANE_M)[:2]
+                flat = HeightGrid(np.zeros((2, 2)), (x, y)).triangles()
+                add_triangles(scene, name, trimesh.Trimesh(*flat, process=False), color, frame)
+            case Grid(extent, heights):
+                points, triangles = HeightGrid(heights, extent).coarsened(MAX_CELLS).triangles()
+                solid = shaded_mesh(points + np.array([extent[0] / 2, extent[1] / 2, 0.0]), triangles, color)
+                scene.add_mesh_trimesh(name, solid, position=frame[0], wxyz=frames.wxyz(frame[1]))
+            case _:
+                add_shape(scene, name, shape, color, frame)
+
+    def _aim(self) -> None:
+        """Look from the viewpoint; a person turns the camera around the middle of the bodies."""
+        eye, turned = self._viewpoint.frame
+        ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
+        middle = self._poses[:, :3].mean(axis=0) if len(self._poses) else np.zeros(3)
+        distance = max(0.1, float((middle - eye) @ ahead))
+        vertical = 2 * atan(tan(self._viewpoint.fov / 2) * HEIGHT / WIDTH)
+        aim_camera(self._server, View(eye, frames.add(eye, frames.scaled(ahead, distance)), fov=vertical))
+        self._server.initial_camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
+
+    # The panel
+
+    def _add_panel(self, title: str) -> None:
+        gui, pace = self._server.gui, self._pace
+        set_theme(gui, dark=False)
+        gui.set_panel_label(title)
+        gui.main_panel.dock_right()
+        self._state = gui.add_html("")
+        acts: dict[str, Callable[[], None]] = {
+            "pause": pace.pause,
+            "step": pace.step_once,
+            "real time": lambda: pace.run(is_fast=False),
+            "fast": lambda: pace.run(is_fast=True),
+        }
+        buttons = gui.add_button_group(
+            "time", tuple(acts), hint="pause; one basic time step; at the pace of a clock; as fast as it can"
+        )
+        buttons.on_click(lambda event: acts[event.target.value]())
+        if self._can_restart:
+            restart = gui.add_button(
+                "restart", hint="end all controllers, read the files again, and start again"
+            )
+            restart.on_click(lambda _: pace.restart())
+        gui.add_html(hint("Keys that you press on this page are those of each Keyboard."))
+        self._output = gui.add_html("")
+        self._speed, self._since = 0.0, (time.monotonic(), self._simulation.ticks)
+
+    def _write(self, state: str) -> None:
+        """Write the state of the run, and what the controllers printed."""
+        simulation, now = self._simulation, time.monotonic()
+        seconds = now - self._since[0]
+        if seconds >= _SPEED_INTERVAL_S:
+            self._speed = (simulation.ticks - self._since[1]) / 1000 / seconds
+            self._since = now, simulation.ticks
+        speed = f"{self._speed:.2g} times real time" if state == "running" else ""
+        self._state.content = notice(
+            state, f"{simulation.time / 1000:.3f} s of simulated time<br>{speed}", "#0072B2"
+        )
+        printed = list(self._lines.items())
+        output = "".join(_lines_of(name, list(lines)) for name, lines in printed[:_MAX_ROBOTS])
+        if len(printed) > _MAX_ROBOTS:
+            output += hint(f"and {len(printed) - _MAX_ROBOTS} more robots")
+        if output != self._output.content:
+            self._output.content = output
+
+    # While the world runs
+
+    def _read(self) -> None:
+        """Leave the poses for the page, in the thread of the world."""
+        self._due = time.monotonic() + 1 / FRAME_RATE
+        self._poses, self._moved = self._simulation.physics.poses(), self._viewpoint.moved()
+
+    def _serve(self) -> None:
+        drawn = 0
+        while not self._ended.wait(1 / FRAME_RATE):
+            if self._server.get_clients():
+                self._draw()
+                if drawn % _FRAMES_PER_TEXT == 0:
+                    self._write("paused" if self._pace.is_paused else "running")
+                drawn += 1
+
+    def _draw(self) -> None:
+        """Send the poses that have changed. The world moves, and not the camera, which belongs to a
+        person."""
+        poses, (x, y, z) = self._poses, self._moved
+        with self._server.atomic():
+            for row in np.flatnonzero((poses != self._sent).any(axis=1)):
+                self._nodes[row].position, self._nodes[row].wxyz = poses[row, :3], poses[row, 3:]
+            self._root.position = (-x, -y, -z)
+        self._sent = poses
+
+
+def _lines_of(robot: str, lines: list[str]) -> str:
+    """Return the lines that the controller of a robot printed, as HTML."""
+    style = "margin:0 1.2em;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.75em"
+    text = html.escape("\n".join(lines))
+    return f"{heading(robot)}<pre style='{style}'>{text}</pre>"
