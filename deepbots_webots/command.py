@@ -197,6 +197,8 @@ def _show_robots(opened: _Opened, *, as_json: bool) -> None:
         row | {"devices": _short(robot.devices)} for row, robot in zip(rows, opened.scene.robots, strict=True)
     ]
     note = "add --allow-code to run these controllers, if you trust the project"
+    if not rows:
+        note = "the world has no robots, so that no controller would run"
     terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
 
 

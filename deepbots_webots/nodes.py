@@ -15,11 +15,12 @@ from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
+from deepbots_cli.frames import Quaternion
 from deepbots_cli.records import dataclass
 from deepbots_webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Quaternion, Triple
+    from deepbots_cli.frames import Triple
     from deepbots_webots.syntax import WorldFindings
 
 _ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
@@ -169,6 +170,25 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
         stack.extend(reversed(inner))
 
 
+# Axes of releases before R2022a
+
+# From forward, left, up, the axes of PROTOs, cameras and lidars, to right, up, back.
+LOOKING_TURN: Quaternion = (-0.5, 0.5, 0.5, 0.5)
+# From those of geometries along z, which were along y, and of devices along x, which were along z.
+_STANDING_TURN: Quaternion = (-0.5, -0.5, -0.5, 0.5)
+_OLD_TURNS: Mapping[str, Quaternion] = {
+    **dict.fromkeys(("Camera", "RangeFinder", "Lidar", "Radar", "Viewpoint"), LOOKING_TURN),
+    **dict.fromkeys(("Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid"), _STANDING_TURN),
+    **dict.fromkeys(("Emitter", "Receiver", "Connector", "TouchSensor"), _STANDING_TURN),
+}
+
+
+def turn_of(node: Node) -> Quaternion:
+    """Return the rotation from the axes that the type of a node has today to those that it has in its file."""
+    unturned = frames.IDENTITY_ROTATION
+    return _OLD_TURNS.get(node.type, unturned) if node.has_old_axes else unturned
+
+
 # Findings
 
 _GEOMETRIES = ("Box", "Sphere", "Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid", "IndexedFaceSet",
@@ -202,11 +222,7 @@ def check(nodes: list[Node], findings: WorldFindings) -> None:
 
 
 def _check_node(node: Node, findings: WorldFindings) -> None:
-    kind = node_types().get(node.type)
-    if kind is None:
-        hint = partial(did_you_mean, node.type, node_types())
-        findings.error(node.span, f"there is no node {node.type[:60]}", hint)
-        return
+    kind = node_types()[node.type]
     for name, value in node.fields.items():
         entry = kind.fields.get(name)
         if entry is None:

@@ -26,7 +26,7 @@ from deepbots_cli.engines.mujoco import sliding
 from deepbots_cli.records import dataclass
 from deepbots_webots.model import ModelBuilder
 from deepbots_webots.nodes import number, numbers
-from deepbots_webots.scene import ORIGIN
+from deepbots_webots.scene import ORIGIN, UP
 from deepbots_webots.shapes import compose
 from deepbots_webots.syntax import WorldError
 
@@ -494,7 +494,7 @@ class Physics:
 
     def set_gravity(self, gravity: float) -> None:
         """Set the gravity, m/s^2 downward."""
-        self.scene.gravity = 0.0, 0.0, -gravity
+        self.scene.gravity = frames.scaled(self.scene.directions[UP], -gravity)
         self.model.opt.gravity[:] = self.scene.gravity
 
     def push(self, body: Body, force: Triple, torque: Triple, point: Triple | None = None) -> None:

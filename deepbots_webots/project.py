@@ -21,6 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cache, partial
 from pathlib import Path
+from string import Template as Pattern
 from typing import TYPE_CHECKING, NamedTuple
 
 from deepbots_cli.diagnostics import Source, Span
@@ -50,8 +51,7 @@ if TYPE_CHECKING:
     from deepbots_webots.scene import Robot
     from deepbots_webots.syntax import Document, Extern, Item
 
-_LIBRARY_FOLDER = "projects/"
-"""The folder of Webots with its PROTOs; addresses of its library contain it."""
+_LIBRARY_FOLDER = "projects/"  # of Webots, with its PROTOs; addresses of its library contain it
 
 
 @dataclass
@@ -102,11 +102,10 @@ class Files:
         return self._sources[path]
 
     def proto(self, name: str, address: str, writer: str) -> Path | None:
-        """Return the file of a PROTO: at its address, in `protos/` of the project, or in a copy of Webots."""
-        candidates = []
-        if address and "://" not in address:
-            candidates.append(Path(writer).parent / address)
-        candidates.append(self.project / "protos" / f"{name}.proto")
+        """Return the file of a PROTO: at its address, below `protos/` of the project, or in a copy of Webots."""
+        candidates = [Path(writer).parent / address] if address and "://" not in address else []
+        own = [path for path in self.project.glob("protos/**/*.proto") if path.stem == name]
+        candidates += sorted(own, key=lambda path: len(path.parts))
         tail = address.rpartition(_LIBRARY_FOLDER)[2] if _LIBRARY_FOLDER in address else ""
         for folder in self.library:
             candidates += [folder / _LIBRARY_FOLDER / tail] if tail else []
@@ -139,8 +138,7 @@ class World:
     files: Files
     nodes: list[Node]
     findings: WorldFindings
-    span: Span
-    """The beginning of the file."""
+    span: Span  # the beginning of the file
 
 
 def read_world(path: Path, library: Sequence[Path] = ()) -> World:
@@ -251,7 +249,11 @@ class _Values:
         return self._node.fields.get(name, self._interface[name].default).items
 
     def numbers(self, name: str) -> list[float]:
-        return [item for item in self._items(name) if isinstance(item, float)]
+        values = [item for item in self._items(name) if isinstance(item, float)]
+        has_old_axes = self._node.has_old_axes and name in self._node.fields
+        # Before R2022a, the second of three sizes was upward.
+        is_turned = has_old_axes and self._interface[name].type in ("SFVec2f", "SFVec3f")
+        return [values[-1], *values[:-1]] if is_turned else values
 
     def number(self, name: str) -> float:
         return self.numbers(name)[0]
@@ -274,13 +276,23 @@ class _Values:
 @cache
 def equivalents() -> frozenset[str]:
     """Return the names of the PROTOs that have an equivalent."""
-    return frozenset(path.stem for path in LIBRARY.glob("*.proto"))
+    return frozenset(path.stem for path in LIBRARY.glob("*.proto")) | _outlines().keys()
+
+
+@cache
+def _outlines() -> Mapping[str, str]:
+    """Return the texts of the PROTOs that are a single geometry here, by name."""
+    pattern = Pattern((LIBRARY / "outline.txt").read_text("utf-8"))
+    head, *lines = (LIBRARY / "outlines.txt").read_text("utf-8").splitlines()
+    rows = [dict(zip(head.split(), line.split(), strict=True)) for line in lines]
+    return {row["name"]: pattern.substitute(row, radius=float(row["x"]) / 2) for row in rows}
 
 
 @cache
 def equivalent(name: str) -> Equivalent:
     """Return the equivalent of a PROTO, which has a line `# not implemented` for fields that are missing."""
-    head, body = (LIBRARY / f"{name}.proto").read_text("utf-8").split("\n] {\n")
+    text = _outlines().get(name) or (LIBRARY / f"{name}.proto").read_text("utf-8")
+    head, body = text.split("\n] {\n")
     interface = head.partition("[\n")[2]
     source = Source(f"{name}.proto", interface)
     return Equivalent(
@@ -320,8 +332,8 @@ def pit_heights(
     return " ".join([f"{height:.6g}" for height in heights])
 
 
+# The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1.
 _PIT_ROUGHNESS = 0.094
-"""The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1."""
 LIBRARY = Path(__file__).parent / "library"
 _MISSING = re.compile(r"field \w+ (\w+) .*# not implemented")
 
@@ -334,6 +346,10 @@ MAX_LEVELS = 150
 """The maximum depth of a world with all that PROTO and USE stand for; a level takes four calls of Python."""
 
 _HEADER = "#VRML_SIM R2025a utf8\n"
+_MISSING_HELP = (
+    "name a copy of Webots, or a folder with such files, by --protos DIR;"
+    " deepbots reads nothing from the network"
+)
 
 
 @dataclass(frozen=True)
@@ -371,6 +387,8 @@ class Expander:
         self.files, self.findings = files, findings
         self._clones = self._length = 0
         self._read: dict[str, Proto | None] = {}
+        self._missing: dict[str, Span] = {}
+        self._templates: dict[str, Span] = {}
         self._extents: dict[Node, Extent] = {}
         self._library_bodies: dict[str, Node] = {}
 
@@ -385,6 +403,7 @@ class Expander:
         for node in nodes:
             count += self._expand(node, scope, "", (), 0).nodes
             _check_extent(node, Extent(count, 1), 0)
+        self._report()
         return count
 
     def _expand(self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
@@ -415,6 +434,8 @@ class Expander:
                 self._check_fields(node, proto)
                 node.interface = proto.interface
                 node.body = self._body(node, proto)
+                if node.body is not None:
+                    node.body.is_turned = node.has_old_axes and not node.body.has_old_axes
                 inside = Scope.of_proto(proto) if proto.source else scope
                 if node.body is not None:
                     inner = [self._expand(node.body, inside, slot, (*outer, proto), level)]
@@ -433,15 +454,22 @@ class Expander:
             )
             node.type = "PBRAppearance"
             node.fields.clear()
-        elif node.type in scope.externs:
-            self.findings.error(
-                node.span,
-                f"PROTO {node.type} is not available",
-                f"name a copy of Webots, or a folder with {node.type}.proto, by --protos DIR; deepbots reads"
-                " nothing from the network",
-            )
+        else:
+            self._missing.setdefault(node.type, node.span)
             _empty(node)
         return None
+
+    def _report(self) -> None:
+        """Name all PROTOs that are missing in one finding, and all templates in another."""
+        for spans, lack, lacks, help in (
+            (self._missing, "not available", "not available", _MISSING_HELP),
+            (self._templates, TEMPLATE, TEMPLATE.replace("a template", "templates"), TEMPLATE_HELP),
+        ):
+            *others, last = spans or [""]
+            text = f"the PROTOs {', '.join(others)[:400]} and {last} are {lacks}"
+            if last:
+                hint = f"{did_you_mean(last, node_types())} {help}".strip()
+                self.findings.error(spans[last], text if others else f"PROTO {last} is {lack}", hint)
 
     def _find(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
         key = extern.address if extern else name
@@ -452,7 +480,8 @@ class Expander:
 
     def _load(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
         path = self.files.proto(name, extern.address if extern else "", scope.source.name)
-        if name in equivalents() and (path is None or not self.files.is_own(path)):
+        has_equivalent = name in equivalents()
+        if has_equivalent and (path is None or not self.files.is_own(path)):
             return equivalent(name)
         if path is None:
             return None
@@ -460,6 +489,9 @@ class Expander:
         self._add_length(len(source.text), Span(source, 0, 0))
         document = parse(source, is_proto=True)
         proto = document.protos.get(name)
+        if proto is not None and proto.is_template and has_equivalent:
+            self.findings.warning(proto.span, f"PROTO {name} is {TEMPLATE}", "its equivalent takes its place")
+            return equivalent(name)
         if proto is None:
             first_proto = next(iter(document.protos.values()))
             self.findings.error(first_proto.span, f"PROTO {first_proto.name} in a file for {name}")
@@ -475,7 +507,9 @@ class Expander:
             entry = proto.interface.get(name)
             if entry is None:
                 hint = partial(did_you_mean, name, proto.interface, "it is ignored")
-                if not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
+                if node.type in _outlines() and isinstance(proto, Equivalent):
+                    self.findings.warning(node.span, f"{node.type} is a plain box, cylinder or ball here")
+                elif not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
                     self.findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
                 del node.fields[name]
             elif value.alias == "" and (problem := type_problem(entry.type, value)):
@@ -495,7 +529,7 @@ class Expander:
                 self._library_bodies[text] = parse(source, is_proto=True).protos[proto.name].body[0]
             root = self._library_bodies[text]
         elif proto.is_template:
-            self.findings.error(node.span, f"PROTO {proto.name} {TEMPLATE}", TEMPLATE_HELP)
+            self._templates.setdefault(proto.name, node.span)
             _empty(node)
             return None
         else:
@@ -509,7 +543,7 @@ class Expander:
         # A node that the body repeats by USE stays a single node in the copy.
         if id(node) in memo:
             return memo[id(node)]
-        copy = Node(node.type, node.span, node.name, is_internal=True)
+        copy = Node(node.type, node.span, node.name, is_internal=True, has_old_axes=node.has_old_axes)
         memo[id(node)] = copy
         self._clones += 1
         _check_extent(instance, Extent(self._clones, 1), 0)

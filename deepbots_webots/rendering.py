@@ -25,7 +25,7 @@ from deepbots_cli.files import atomic_write
 from deepbots_cli.robots.model import Box
 from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
 from deepbots_webots.model import geom_fields
-from deepbots_webots.nodes import number, parameters, real, rotation, text, vector, walk
+from deepbots_webots.nodes import number, parameters, real, rotation, text, turn_of, vector, walk
 from deepbots_webots.shapes import Grid, Plane, look_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
@@ -253,7 +253,8 @@ class Viewpoint:
         """The horizontal field of view (rad), and the frame at the start."""
         if node is not None:
             self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
-            self.frame = vector(node, "position"), rotation(node, "orientation")
+            orientation = frames.multiply(rotation(node, "orientation"), turn_of(node))
+            self.frame = vector(node, "position"), orientation
             self._followed = _solid(simulation, text(node, "follow"))
         self._start_position = self._followed_position()
 

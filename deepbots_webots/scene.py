@@ -11,7 +11,7 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
-from dataclasses import field
+from dataclasses import field, replace
 from math import hypot
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -19,6 +19,7 @@ from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Triple
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import (
+    LOOKING_TURN,
     boolean,
     child,
     children,
@@ -28,6 +29,7 @@ from deepbots_webots.nodes import (
     real,
     rotation,
     text,
+    turn_of,
     vector,
     vectors,
 )
@@ -35,13 +37,16 @@ from deepbots_webots.shapes import Grid, Mesh, compose, shape_of, volume_of
 from deepbots_webots.syntax import WorldError
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame
+    from deepbots_cli.frames import Frame, Quaternion
     from deepbots_webots.project import Files, World
     from deepbots_webots.shapes import Shape
     from deepbots_webots.syntax import Node, WorldFindings
 
 ORIGIN: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
 AXES: tuple[Triple, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+EAST, NORTH, UP = 0, 1, 2
+# The numbers of the axes that point east, north and up.
+_COORDINATE_SYSTEMS = {"ENU": (0, 1, 2), "NUE": (2, 0, 1), "EUN": (0, 2, 1)}
 
 DEVICES = frozenset(
     [
@@ -86,27 +91,18 @@ class Geometry:
     material: str
     owner: Node
     mass: float = 0.0
-    reflection: float = 0.6
-    """The share of infra-red light that it reflects."""
+    reflection: float = 0.6  # the share of infra-red light that it reflects
 
 
 @dataclass(eq=False)
 class Visual:
-    """A Shape node that is seen: its frame in the body, or in the world without one, and the scale there."""
+    """A Shape node that is seen, or a light: its frame in the body, or in the world without one, and the
+    scale there."""
 
     node: Node
     body: Body | None
     frame: Frame
     scale: Triple
-
-
-@dataclass(eq=False)
-class Light:
-    """A light: its node, and the frame of that node in the body, or in the world without one."""
-
-    node: Node
-    body: Body | None
-    frame: Frame
 
 
 @dataclass(eq=False)
@@ -214,14 +210,16 @@ class Scene:
     """The bodies, robots and settings of a world.
 
     `nodes` are the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
-    `gravity` in m/s^2. `attachments` maps each node with a pose to its body and its
-    frame in the body. `outer_frames` maps nodes with a pose outside of bodies to their frame in the world.
+    `gravity` in m/s^2. `directions` are those to the east, north and up. `attachments` maps each node with a
+    pose to its body and its frame in the body. `outer_frames` maps nodes with a pose outside of bodies to
+    their frame in the world.
     `parents` maps each node to the node above it.
     """
 
     nodes: list[Node]
     files: Files
     basic_step: int = 32
+    directions: tuple[Triple, ...] = AXES
     gravity: Triple = (0.0, 0.0, -9.81)
     seed: int = 0
     bodies: list[Body] = field(default_factory=list)
@@ -232,9 +230,8 @@ class Scene:
     outer_frames: dict[Node, Frame] = field(default_factory=dict)
     parents: dict[Node, Node] = field(default_factory=dict)
     visuals: list[Visual] = field(default_factory=list)
-    lights: list[Light] = field(default_factory=list)
-    radar_targets: list[Node] = field(default_factory=list)
-    """The solids that radars see."""
+    lights: list[Visual] = field(default_factory=list)
+    radar_targets: list[Node] = field(default_factory=list)  # the solids that radars see
 
     def contact(self, first: str, second: str) -> Contact:
         """Return how two materials touch."""
@@ -273,13 +270,30 @@ def build_scene(world: World) -> Scene:
 
 @dataclass(frozen=True)
 class _Site:
-    """Where a node is: the body around it, its frame there, its scale, its robot and its solid."""
+    """Where a node is: the body around it, its frame there, its scale, its robot and its solid.
+
+    `is_turned` says that the axes are those of R2022a, around nodes of an older file.
+    """
 
     body: Body | None
     frame: Frame
     scale: Triple
     robot: Robot | None
     solid: Node | None = None
+    is_turned: bool = False
+
+    def inside(self, node: Node, frame: Frame | None = None) -> _Site:
+        """Return the site of what is in a node at a frame of this one, or at this one."""
+        site = self
+        if frame is not None:
+            site = replace(
+                self, frame=compose(self.frame, frame, self.scale), scale=_scaled(self.scale, node)
+            )
+        return site.turned(LOOKING_TURN, is_turned=True) if node.is_turned else site
+
+    def turned(self, turn: Quaternion, *, is_turned: bool) -> _Site:
+        frame, scale = _turned(self.frame, self.scale, turn)
+        return replace(self, frame=frame, scale=scale, is_turned=is_turned)
 
 
 class _Builder:
@@ -295,14 +309,13 @@ class _Builder:
             self.findings.error(info.span, f"basicTimeStep is {step:g} ms; it is between 1 and 10,000")
             step = 32.0
         scene.basic_step = max(1, round(step))
-        scene.gravity = 0.0, 0.0, -number(info, "gravity")
+        has_default = "coordinateSystem" not in info.fields
+        system = "NUE" if has_default and info.has_old_axes else text(info, "coordinateSystem")
+        if system not in _COORDINATE_SYSTEMS:
+            self.findings.error(info.span, f"coordinateSystem '{system[:40]}' is none of ENU, NUE and EUN")
+        scene.directions = tuple(AXES[axis] for axis in _COORDINATE_SYSTEMS.get(system, (0, 1, 2)))
+        scene.gravity = frames.scaled(scene.directions[UP], -number(info, "gravity"))
         scene.seed = int(number(info, "randomSeed"))
-        if text(info, "coordinateSystem") == "NUE":
-            self.findings.error(
-                info.span,
-                "the axes of the world are NUE; deepbots has z upward",
-                'convert it in Webots, or write coordinateSystem "ENU"',
-            )
         for node in map(real, children(info, "contactProperties")):
             if node.type == "ContactProperties":
                 self._contact(node)
@@ -324,20 +337,20 @@ class _Builder:
 
     def add(self, node: Node, site: _Site) -> None:
         """Add a node and what is in it."""
+        if site.is_turned and node.has_old_axes:
+            site = site.turned(frames.inverse(LOOKING_TURN), is_turned=False)
         node_as_written, node = node, real(node)
         if is_a(node, "Solid"):
             self._add_solid(node_as_written, node, site)
         elif is_a(node, "Pose"):
             frame = compose(site.frame, _frame_of(node), site.scale)
-            scale = _scaled(site.scale, node) if node.type == "Transform" else site.scale
-            inner = _Site(site.body, frame, scale, site.robot, site.solid)
             if site.body is not None:
                 self.scene.attachments[node] = site.body, frame
             else:
                 self.scene.outer_frames[node] = frame
-            self._add_children(node, inner)
+            self._add_children(node, site.inside(node, _frame_of(node)))
         elif node.type == "Group":
-            self._add_children(node, site)
+            self._add_children(node, site.inside(node))
         elif node.type == "Slot":
             inner_node = child(node, "endPoint")
             if inner_node is not None:
@@ -346,9 +359,12 @@ class _Builder:
         elif node.type.endswith("Joint"):
             self._add_joint(node, site)
         elif node.type == "Shape":
-            self.scene.visuals.append(Visual(node, site.body, site.frame, site.scale))
+            geometry = child(node, "geometry")
+            turn = IDENTITY_ROTATION if geometry is None else turn_of(geometry)
+            frame, scale = _turned(site.frame, site.scale, turn)
+            self.scene.visuals.append(Visual(node, site.body, frame, scale))
         elif is_a(node, "Light"):
-            self.scene.lights.append(Light(node, site.body, site.frame))
+            self.scene.lights.append(Visual(node, site.body, site.frame, site.scale))
         elif node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
 
@@ -374,7 +390,7 @@ class _Builder:
             body.is_free = child(node, "physics") is not None
             body.is_dynamic = body.is_free
             frame = ORIGIN
-        self._fill(node, body, frame, scale, robot)
+        self._fill(node, body, _Site(body, frame, scale, robot, node, site.is_turned))
 
     def _robot(self, node_as_written: Node, node: Node, site: _Site) -> Robot | None:
         if node.type != "Robot":
@@ -394,22 +410,24 @@ class _Builder:
         self.scene.bodies.append(body)
         return body
 
-    def _fill(self, node: Node, body: Body, frame: Frame, scale: Triple, robot: Robot | None) -> None:
+    def _fill(self, node: Node, body: Body, site: _Site) -> None:
         """Add the bounding object, the physics, the device and the children of a solid to its body."""
-        self.scene.attachments[node] = body, frame
+        self.scene.attachments[node] = body, site.frame
+        site = site.inside(node)
+        frame = site.frame
         if node.type in DEVICES:
-            self._add_device(node, body, frame, robot)
+            self._add_device(node, body, compose(frame, ((0.0, 0.0, 0.0), turn_of(node))), site.robot)
         if number(node, "radarCrossSection") > 0:
             self.scene.radar_targets.append(node)
         first = len(body.geometries)
         bounding = next(iter(children(node, "boundingObject")), None)
         if bounding is not None:
             self._link(bounding, node)
-            self._add_geometry(bounding, body, frame, scale, node)
+            self._add_geometry(bounding, body, frame, site.scale, node)
         physics = child(node, "physics")
         if physics is not None and physics.type == "Physics":
             self._add_mass(node, physics, body, frame, body.geometries[first:])
-        self._add_children(node, _Site(body, frame, scale, robot, node))
+        self._add_children(node, site)
 
     # Geometries and masses
 
@@ -431,6 +449,7 @@ class _Builder:
             self._add_shape(node, body, frame, scale, owner)
 
     def _add_shape(self, node: Node, body: Body, frame: Frame, scale: Triple, owner: Node) -> None:
+        frame, scale = _turned(frame, scale, turn_of(node))
         if (node, scale) not in self._shapes:
             self._shapes[node, scale] = shape_of(node, scale, self.files, self.findings)
         shape = self._shapes[node, scale]
@@ -504,7 +523,7 @@ class _Builder:
         self._add_joint_devices(node, body, site.robot)
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
-        self._fill(end, body, ORIGIN, _scaled(site.scale, end), site.robot)
+        self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.is_turned))
 
     def _add_axes(self, node: Node, body: Body, site: _Site) -> None:
         """Add the joints of a node, with axis and anchor in the frame of the body."""
@@ -578,6 +597,14 @@ def _points_of(shape: Shape) -> int:
         case Grid(heights=heights):
             return heights.size
     return 0
+
+
+def _turned(frame: Frame, scale: Triple, turn: Quaternion) -> tuple[Frame, Triple]:
+    """Return a frame and a scale in axes that are turned by quarters."""
+    if turn == IDENTITY_ROTATION:
+        return frame, scale
+    x, y, z = frames.rotate_back(turn, scale)
+    return compose(frame, ((0.0, 0.0, 0.0), turn)), (abs(x), abs(y), abs(z))
 
 
 def _frame_of(node: Node) -> Frame:

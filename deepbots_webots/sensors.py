@@ -20,12 +20,13 @@ from deepbots_cli import frames
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.frames import IDENTITY_ROTATION
 from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
+from deepbots_webots.scene import AXES, NORTH, UP
 from deepbots_webots.shapes import compose
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame, Triple
+    from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_webots.scene import Device as Spec
-    from deepbots_webots.scene import Light
+    from deepbots_webots.scene import Visual
     from deepbots_webots.simulation import Simulation
     from deepbots_webots.syntax import Node
 
@@ -262,8 +263,6 @@ def look_up(table: Sequence[Triple], value: float) -> tuple[float, float]:
     return table[-1][1], table[-1][2]
 
 
-NORTH = (0.0, 1.0, 0.0)
-"""In the world, whose axes are east, north and up."""
 SONAR_CONE = math.cos(math.pi / 8)
 """The cosine of the largest angle of incidence at which a sonar hears its echo."""
 
@@ -307,7 +306,7 @@ class Compass(VectorSensor):
     """The direction of north in the frame of the sensor."""
 
     def _measure(self) -> Triple:
-        return frames.rotate_back(self._frame()[1], NORTH)
+        return frames.rotate_back(self._frame()[1], self._simulation.scene.directions[NORTH])
 
 
 class InertialUnit(Sensor):
@@ -331,10 +330,18 @@ class InertialUnit(Sensor):
         noise, node = self.getNoise(), self._spec.node
         x, y, z = (
             self._rounded(angle + self._noise(noise)) if boolean(node, f"{axis}Axis") else nan
-            for axis, angle in zip("xyz", frames.roll_pitch_yaw(rotation), strict=True)
+            for axis, angle in zip("xyz", self._roll_pitch_yaw(rotation), strict=True)
         )
         self._angles = x, y, z
         self._turned = frames.quaternion(x, y, z) if noise else rotation
+
+    def _roll_pitch_yaw(self, rotation: Quaternion) -> Triple:
+        """Return the angles about x, about the axis to its left, and about the upward one."""
+        if self._simulation.scene.directions[UP] == AXES[UP]:
+            return frames.roll_pitch_yaw(rotation)
+        x, y, z, w = rotation
+        roll, pitch, yaw = frames.roll_pitch_yaw((x, -z, y, w))
+        return roll, -pitch, yaw
 
 
 class GPS(Sensor):
@@ -371,7 +378,8 @@ class Altimeter(ScalarSensor):
     """Height in the world, m."""
 
     def sample(self) -> None:
-        height = self._frame()[0][2] + self._noise(number(self._spec.node, "accuracy"))
+        up = self._simulation.scene.directions[UP]
+        height = frames.dot(self._frame()[0], up) + self._noise(number(self._spec.node, "accuracy"))
         self._value = self._rounded(height)
 
 
@@ -535,7 +543,7 @@ class LightSensor(ScalarSensor, HasLookupTable):
             total += beam.attenuation * (_ambient(light.node) + direct) * color
         return total
 
-    def _frame_of(self, light: Light) -> Frame:
+    def _frame_of(self, light: Visual) -> Frame:
         return light.frame if light.body is None else self._simulation.physics.frame(light.body, light.frame)
 
     def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
@@ -551,7 +559,7 @@ def _ambient(light: Node) -> float:
     return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
-def _beam(light: Light, frame: Frame, position: Triple) -> _Beam:
+def _beam(light: Visual, frame: Frame, position: Triple) -> _Beam:
     """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
     node = light.node
     if node.type == "DirectionalLight":

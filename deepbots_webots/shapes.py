@@ -38,8 +38,7 @@ if TYPE_CHECKING:
 
 MAX_MESH_BYTES = 32 * 2**20
 MAX_VERTICES = 200_000
-MAX_HEIGHTS = 1_000_000
-"""The maximum numbers of vertices of a mesh, and of heights of a grid."""
+MAX_HEIGHTS = 1_000_000  # the maximum numbers of vertices of a mesh, and of heights of a grid
 MAX_FACES = 2 * MAX_VERTICES  # as many as a closed mesh has
 _PLY_FACES = re.compile(rb"element[ \t]+face[ \t]+([0-9]{1,18})")
 _FLAT = 1e-9  # m; a mesh of less extent along some axis has no volume
@@ -113,7 +112,7 @@ def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -
             size = (number(node, "radius") * widest, number(node, "height") * sz)
             return _positive(node, kind(*size), size, findings)
         case "Plane":
-            return Plane(tuple(numbers(node, "size")))
+            return Plane(tuple(numbers(node, "size")[:: -1 if node.has_old_axes else 1]))
         case "ElevationGrid":
             return _grid(node, (sx, sy, sz), findings)
         case "IndexedFaceSet":
@@ -132,9 +131,12 @@ def _positive(node: Node, shape: Shape, size: Sequence[float], findings: WorldFi
 
 
 def _grid(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
-    columns, rows = integer(node, "xDimension"), integer(node, "yDimension")
+    second = "y"
+    if node.has_old_axes:  # rows along z, which is x now
+        second, scale = "z", (scale[1], scale[0], scale[2])
+    columns, rows = integer(node, "xDimension"), integer(node, f"{second}Dimension")
     heights = numbers(node, "height")
-    along_x, along_y = number(node, "xSpacing") * scale[0], number(node, "ySpacing") * scale[1]
+    along_x, along_y = number(node, "xSpacing") * scale[0], number(node, f"{second}Spacing") * scale[1]
     if columns < 2 or rows < 2 or not (0 < along_x < 1e6 and 0 < along_y < 1e6):
         findings.error(node.span, "an ElevationGrid with less than two rows or columns, or without spacing")
         return None
@@ -143,7 +145,8 @@ def _grid(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
         return None
     count = columns * rows
     filled = np.array((heights + [0.0] * count)[:count]).reshape(rows, columns)  # Webots fills with 0
-    return Grid(((columns - 1) * along_x, (rows - 1) * along_y), filled * scale[2])
+    extent = ((columns - 1) * along_x, (rows - 1) * along_y)
+    return Grid(extent[::-1], filled.T * scale[2]) if node.has_old_axes else Grid(extent, filled * scale[2])
 
 
 def _face_set(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
@@ -229,10 +232,8 @@ def inverse(frame: Frame) -> Frame:
 # How Shape nodes look
 
 MAX_PICTURE_BYTES = 16 * 2**20
-MAX_PICTURE_SIDE = 4096
-"""The largest file of a texture, and its largest width and height in pixels."""
-SIDE = 512
-"""The largest width and height that is drawn, in pixels."""
+MAX_PICTURE_SIDE = 4096  # the largest file of a texture, and its largest width and height in pixels
+SIDE = 512  # the largest width and height that is drawn, in pixels
 MAX_REPEATS = 10_000.0
 _MISSING = ((1.0, 1.0, 1.0), (0.55, 0.55, 0.55))
 """The squares of a texture that is not available, as parts of the color of the appearance."""
@@ -245,8 +246,7 @@ _PATTERNS: Mapping[str, tuple[Triple, ...]] = {
 }
 """The colors of the two squares of each pattern of the library, by its address. A single color has no
 squares."""
-_TILE_M = 0.5
-"""The length of a pattern of the library: two squares."""
+_TILE_M = 0.5  # the length of a pattern of the library: two squares
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,8 +322,7 @@ def _squares(colors: Sequence[Triple], count: int = 1) -> Pixels:
     return (np.array(colors)[side] * 255).round().astype(np.uint8)
 
 
-CONE_SIDES = 32
-"""The sides of a cone, which is drawn as a mesh."""
+CONE_SIDES = 32  # the sides of a cone, which is drawn as a mesh
 
 
 def visible_shape(visual: Visual, files: Files) -> Shape | None:
@@ -362,7 +361,7 @@ class Look:
 
     @property
     def color(self) -> tuple[float, float, float, float]:
-        """The color with the mean of the texture."""
+        """The color and opacity, with the mean color of the texture."""
         if self.texture is None:
             return self.base
         red, green, blue = (
@@ -387,11 +386,6 @@ def look_of(node: Node, files: Files) -> Look:
 
 def _look(node: Node, field: str, texture: Texture | None) -> Look:
     return Look((*vector(node, field), 1.0 - number(node, "transparency")), texture)
-
-
-def color_of(node: Node, files: Files) -> Sequence[float]:
-    """Return the color and opacity of a Shape node, with the mean color of its texture."""
-    return look_of(node, files).color
 
 
 def sky_color(nodes: Sequence[Node]) -> Triple | None:

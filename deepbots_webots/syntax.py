@@ -26,8 +26,7 @@ from deepbots_cli.records import dataclass
 
 # Findings
 
-MAX_FINDINGS = 100
-"""The maximum number of errors, and of warnings, about one project."""
+MAX_FINDINGS = 100  # the maximum number of errors, and of warnings, about one project
 
 Help = str | Callable[[], str]
 """A help, or the function that returns it, which is called only for findings that are kept."""
@@ -115,17 +114,14 @@ class WorldFindings:
 
 MAX_BYTES = 8 * 2**20
 """The maximum size of one file. The largest world of the four projects of deepworlds has 23 kB."""
-MAX_DEPTH = 64
-"""The maximum depth of nodes and lists in each other, with those that USE repeats."""
-MAX_TOKENS = 250_000
-"""The maximum number of words in one file; a number in a list of numbers is not a word."""
-MAX_NUMBERS = 1_000_000
-"""The maximum number of numbers in the lists of one file."""
+MAX_DEPTH = 64  # the maximum depth of nodes and lists in each other, with those that USE repeats
+MAX_TOKENS = 250_000  # the maximum number of words in one file; a number in a list of numbers is not a word
+MAX_NUMBERS = 1_000_000  # the maximum number of numbers in the lists of one file
 MAX_NODES = 20_000
 """The maximum number of nodes of a file, and of a world with all that PROTO and USE stand for."""
 
-OLDEST_RELEASE = (2022, "a")
-"""The first release whose worlds have z upward, and cylinders along z."""
+OLDEST_RELEASE = (2020, "a")
+AXES_RELEASE = (2022, "a")  # the first one whose PROTOs look along x, and whose cylinders stand along z
 
 # Possessive, so that a string without an end costs linear time. The group of all numbers is not: Python before
 # 3.11.5 does not go back where a possessive group fails. A million numbers take 0.14 s and 63 MB.
@@ -152,7 +148,7 @@ _FIELD_WORDS = frozenset(
 _CONSTANTS: Mapping[str, bool | None] = {"TRUE": True, "FALSE": False, "NULL": None}
 
 
-TEMPLATE = "is a template with code, which deepbots does not run"
+TEMPLATE = "a template with code, which deepbots does not run"
 TEMPLATE_HELP = (
     "in Webots, choose Convert to Base Node(s) in the context menu of the node, and save the world"
 )
@@ -166,12 +162,12 @@ class Node:
     span: Span
     name: str = ""
     fields: dict[str, Value] = field(default_factory=dict)
-    body: Node | None = None
-    """The node that a PROTO node stands for, once it is expanded."""
+    body: Node | None = None  # the node that a PROTO node stands for, once it is expanded
     interface: Mapping[str, Parameter] = field(default_factory=dict)
     """The fields of the PROTO, if this is a PROTO node."""
-    is_internal: bool = False
-    """Whether the node is part of the body of a PROTO."""
+    is_internal: bool = False  # part of the body of a PROTO
+    has_old_axes: bool = False  # of a file of a release before R2022a
+    is_turned: bool = False  # what is in it has the axes of R2022a, in a file that has the old ones
 
     def __repr__(self) -> str:
         return f"Node({self.type!r}, {self.name!r})"
@@ -224,8 +220,7 @@ class Proto:
     is_template: bool = False
     source: Source | None = None
     externs: list[Extern] = field(default_factory=list)
-    neighbors: Mapping[str, Proto] = field(default_factory=dict)
-    """The definitions in the same file."""
+    neighbors: Mapping[str, Proto] = field(default_factory=dict)  # the definitions in the same file
 
 
 class Extern(NamedTuple):
@@ -255,7 +250,7 @@ def parse(source: Source, *, is_proto: bool = False) -> Document:
     """Read the text of a world, or of a file with a PROTO.
 
     Raises:
-        WorldError: The text is not a world or PROTO, is of a release with other axes, or is too large.
+        WorldError: The text is not a world or PROTO, is of too old a release, or is too large.
     """
     return _Parser(source).document(is_proto=is_proto)
 
@@ -283,6 +278,7 @@ class _Parser:
         self.last_statement = max(self.text.rfind("%<"), self.text.rfind("%{"))  # of a template
         self.definitions: dict[str, tuple[Node, int]] = {}  # with the depth of each, 0 before its end
         self.depth = self.deepest = self.words = self.numbers = self.nodes = 0
+        self.has_old_axes = False
         self.token = _START
         self.end = 0
         self.take()
@@ -360,14 +356,15 @@ class _Parser:
                 "the first line is not a header of Webots",
                 "a world begins with: #VRML_SIM R2023b utf8",
             )
-        release = _RELEASE.match(header[1])
-        newer = release is not None and (int(release[1]), release[2]) >= OLDEST_RELEASE
-        if not newer and not is_proto:
+        match = _RELEASE.match(header[1])
+        release = (int(match[1]), match[2]) if match is not None else (0, "")
+        if release < OLDEST_RELEASE and not is_proto:
             raise self._error(
                 _START,
-                f"a world of {header[1][:20]}; before R2022a other axes point up and along cylinders",
-                "open and save it in Webots R2022a or later",
+                f"a world of {header[1][:20]}; deepbots reads those of R2020a and later",
+                "open and save it in a later release of Webots",
             )
+        self.has_old_axes = release < AXES_RELEASE
         return header[1]
 
     def extern(self) -> Extern:
@@ -387,7 +384,7 @@ class _Parser:
         proto = Proto(name.text, self._span(name), interface, [], source=self.source)
         if self.last_statement > self.token.start:
             if not may_be_template:
-                raise self._error(name, f"PROTO {name.text} {TEMPLATE}", TEMPLATE_HELP)
+                raise self._error(name, f"PROTO {name.text} is {TEMPLATE}", TEMPLATE_HELP)
             proto.is_template = True
             self.end = len(self.text)
             self.token = _Token(0, "", self.end)
@@ -437,7 +434,7 @@ class _Parser:
 
     def node(self, name: str = "") -> Node:
         token = self.word("the type of a node")
-        node = Node(token.text, self._span(token), name)
+        node = Node(token.text, self._span(token), name, has_old_axes=self.has_old_axes)
         self.nodes += 1
         if self.nodes > MAX_NODES:
             raise self._error(token, f"the file has more than {MAX_NODES:,} nodes")

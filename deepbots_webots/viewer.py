@@ -31,7 +31,7 @@ from deepbots_cli.view.scene import (
     with_edges,
 )
 from deepbots_webots.rendering import HEIGHT, WIDTH, Viewpoint
-from deepbots_webots.shapes import Grid, Mesh, Plane, color_of, sky_color, visible_shape
+from deepbots_webots.shapes import Grid, Mesh, Plane, look_of, sky_color, visible_shape
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -173,7 +173,9 @@ class Viewer:
             shape = visible_shape(visual, world.files)
             if shape is not None:
                 above = self._top if visual.body is None else f"{self._top}/{visual.body.index}"
-                self._add(f"{above}/shape{number}", shape, color_of(visual.node, world.files), visual.frame)
+                self._add(
+                    f"{above}/shape{number}", shape, look_of(visual.node, world.files).color, visual.frame
+                )
         sky = sky_color(world.nodes)
         pixel = None if sky is None else np.full((1, 1, 3), np.multiply(sky, 255), np.uint8)
         scene.set_background_image(pixel)  # None removes that of a world before a restart

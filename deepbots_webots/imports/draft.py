@@ -33,7 +33,7 @@ from deepbots_webots.imports.world import (
 )
 from deepbots_webots.nodes import integer, number, real, text, vectors, walk
 from deepbots_webots.project import programs, read_world
-from deepbots_webots.scene import build_scene
+from deepbots_webots.scene import AXES, build_scene
 
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
@@ -454,6 +454,9 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     """
     world = read_world(path, library)
     scene = build_scene(world)
+    if scene.directions != AXES:
+        hint = "convert the project by convert_nue_to_enu_rub_to_flu.py of Webots"
+        world.findings.error(world.span, "the axes of the world are not ENU, as those of scenarios", hint)
     world.findings.require_none()
     roots = _roots(scene)
     modules = _modules(world, scene)

@@ -24,7 +24,7 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_webots.scene import ORIGIN
-from deepbots_webots.shapes import Grid, Mesh, Plane, color_of, inverse, kind_of, visible_shape
+from deepbots_webots.shapes import Grid, Mesh, Plane, inverse, kind_of, look_of, visible_shape
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -179,7 +179,7 @@ def _as_seen(
     for visual, shape in drawn:
         geometry = _shape(shape, built, f"{link.name}_visual")
         if geometry is not None:
-            red, green, blue, opacity = map(_unit, color_of(visual.node, scene.files))
+            red, green, blue, opacity = map(_unit, look_of(visual.node, scene.files).color)
             pose = pose_of(frames.compose(origin, visual.frame))
             geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
     return replace(link, visuals=tuple(geometries))
@@ -503,7 +503,7 @@ def _color_text(body: Body, scene: Scene) -> str:
     if visual is None:
         return ""
     channels = (
-        round(255 * min(max(channel, 0.0), 1.0)) for channel in color_of(visual.node, scene.files)[:3]
+        round(255 * min(max(channel, 0.0), 1.0)) for channel in look_of(visual.node, scene.files).color[:3]
     )
     return "#" + "".join(f"{channel:02x}" for channel in channels)
 

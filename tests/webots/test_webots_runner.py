@@ -317,13 +317,18 @@ def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: 
 def test_a_world_with_errors_runs_nothing(project: Project):
     project.write("worlds/w.wbt", HEADER + WORLD + "\nRobt { }")
     ran = project.run(code=1)
-    assert ran.err.count("error: there is no node Robt") == 1
+    assert ran.err.count("error: PROTO Robt is not available") == 1
     assert "w.wbt:5:1" in ran.err
 
 
 def test_a_world_without_controllers_says_so(project: Project):
     project.write("worlds/w.wbt", HEADER + "Solid { }")
     assert "no robot of the world has a controller that can run" in project.run(code=2).err
+
+
+def test_a_world_without_robots_says_so(project: Project):
+    project.write("worlds/w.wbt", HEADER + "Solid { }")
+    assert "the world has no robots" in project.run(allow=False).out
 
 
 def test_the_packages_of_another_environment_are_found(project: Project):

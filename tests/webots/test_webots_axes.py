@@ -1,0 +1,249 @@
+"""Worlds whose axes are NUE, and nodes of releases before R2022a: closed forms, within 1 % at steps of 8 ms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from deepbots_webots.imports.draft import read_project
+from deepbots_webots.project import equivalents
+from deepbots_webots.scene import build_scene
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.syntax import WorldError
+from tests.webots.exported_projects import ROD_INERTIA, device, hinge, node, read, run, solid, turning
+
+OLD, NEW = "R2021b", "R2023b"
+FLOOR = "Solid { boundingObject Plane { } }"
+
+
+def simulate(text: str, release: str = OLD, info: str = "") -> Simulation:
+    world = read(f"#VRML_SIM {release} utf8\nWorldInfo {{ basicTimeStep 8 {info} }} {text}")
+    scene = build_scene(world)
+    world.findings.require_none()
+    return Simulation(scene, world.span)
+
+
+def place(simulation: Simulation) -> list[float]:
+    return node(simulation, "BODY").getPosition()
+
+
+@pytest.mark.parametrize(
+    ("release", "info", "text", "rests"),
+    [
+        pytest.param(
+            NEW,
+            'coordinateSystem "NUE"',
+            f"Pose {{ rotation 1 0 0 -1.5707963 children [ {FLOOR} ] }}"
+            + solid("Sphere { radius 0.1 }", "translation 0 1 0"),
+            [0, 0.1, 0],
+            id="NUE of today",
+        ),
+        pytest.param(
+            NEW,
+            'coordinateSystem "ENU"',
+            FLOOR + solid("Box { size 2 2 2 }", "translation 0 0 2"),
+            [0, 0, 1],
+            id="ENU",
+        ),
+        pytest.param(
+            OLD,
+            "",
+            FLOOR + solid("Cylinder { radius 0.5 height 0.2 }", "translation 0 1 0"),
+            [0, 0.1, 0],
+            id="an old cylinder stands along y",
+        ),
+        pytest.param(
+            OLD,
+            "",
+            FLOOR + solid("Capsule { radius 0.1 height 0.4 }", "rotation 1 0 0 1.5707963 translation 0 1 0"),
+            [0, 0.1, 0],
+            id="an old capsule lies",
+        ),
+        pytest.param(
+            OLD,
+            'coordinateSystem "ENU"',
+            "Pose { rotation 1 0 0 1.5707963 children [ "
+            + FLOOR
+            + " ] }"
+            + solid("Cylinder { radius 0.5 height 0.2 }", "rotation 1 0 0 1.5707963 translation 0 0 1"),
+            [0, 0, 0.1],
+            id="old nodes in an old world with z upward",
+        ),
+        pytest.param(
+            OLD,
+            "",
+            "Solid { boundingObject ElevationGrid { xDimension 2 zDimension 3 zSpacing 2 height"
+            " [ 0 0, 0 0, 1 1 ] } }" + solid("Sphere { radius 0.1 }", "translation 0.5 1 1"),
+            [0.5, 0.1, 1],
+            id="an old grid has its rows along z",
+        ),
+        pytest.param(
+            OLD,
+            "",
+            "RectangleArena { floorSize 4 2 wallHeight 0.5 wallThickness 0.2 } "
+            + solid("Sphere { radius 0.1 }", "translation 2.1 1 0"),
+            [2.1, 0.6, 0],
+            id="an old arena is as long as wide along x",
+        ),
+        pytest.param(
+            OLD,
+            "",
+            "WoodenBox { translation 0 1 0 size 1 2 3 } "
+            + solid("Sphere { radius 0.1 }", "translation 0 2.5 0"),
+            [0, 2.1, 0],
+            id="the size of an old box has its height second",
+        ),
+    ],
+)
+def test_a_body_rests_on_the_ground_of_its_world(release: str, info: str, text: str, rests: list[float]):
+    bouncy = "contactProperties [ ContactProperties { bounce 0 } ]"
+    simulation = simulate(text, release, f"{info} {bouncy}")
+    run(simulation, 2)
+    assert place(simulation) == pytest.approx(rests, abs=2e-3)
+
+
+def test_a_supervisor_sets_the_gravity_along_y():
+    simulation = simulate(solid("Box { }"))
+    info = node(simulation, "BODY")._simulation.physics
+    info.set_gravity(2.0)
+    run(simulation, 1)
+    assert node(simulation, "BODY").getVelocity()[:3] == pytest.approx([0, -2, 0], rel=0.01)
+
+
+def test_an_old_wheel_rolls_as_far_as_it_turns():
+    wheel = "Pose { rotation 1 0 0 1.5707963 children [ Cylinder { radius 0.1 height 0.05 } ] }"
+    fields = "translation 0 0.1 0 linearVelocity 1 0 0 angularVelocity 0 0 -10"
+    simulation = simulate(FLOOR + solid(wheel, fields))
+    run(simulation, 1)
+    assert place(simulation) == pytest.approx([1, 0.1, 0], rel=0.01, abs=1e-3)
+
+
+def test_an_old_pendulum_swings_about_z_with_its_period():
+    joint = hinge(
+        end="rotation 0 0 1 -1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"
+    ).replace("axis 0 1 0", "axis 0 0 1")
+    simulation = simulate(joint)
+    times, before = [], 0.0
+    for step in range(1000):
+        simulation.run_step()
+        now = node(simulation, "ROD").getVelocity()[5]
+        if before < 0 <= now:
+            times.append(step * 0.008 + 0.008 * before / (before - now))
+        before = now
+    period = (times[-1] - times[0]) / (len(times) - 1)
+    small = 2 * math.pi * math.sqrt(ROD_INERTIA / (2 * 9.81 * 0.5))
+    assert period == pytest.approx(small * (1 + 0.1**2 / 16), rel=0.01)
+
+
+WALL = "Solid { translation 0 0 -2 boundingObject Box { size 4 4 2 } }"
+TURNED = "rotation 0 1 0 0.3"
+
+
+@pytest.mark.parametrize(
+    ("robot", "sensor", "surroundings", "measure", "expected"),
+    [
+        ("", "Accelerometer { }", "", lambda sensor: sensor.getValues(), [0, 9.81, 0]),
+        ("", "Compass { }", "", lambda sensor: sensor.getValues(), [1, 0, 0]),
+        (
+            "translation 1 2 3",
+            'Altimeter { name "s" translation 0 0.5 0 }',
+            "",
+            lambda sensor: sensor.getValue(),
+            2.5,
+        ),
+        ("translation 1 2 3", "GPS { }", "", lambda sensor: sensor.getValues(), [1, 2, 3]),
+        ("rotation 1 0 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0.3, 0, 0]),
+        ("rotation 0 1 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0, 0.3]),
+        ("rotation 0 0 1 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0.3, 0]),
+        (
+            "",
+            "Lidar { horizontalResolution 3 fieldOfView 1 numberOfLayers 1 maxRange 9 near 0.01 }",
+            WALL,
+            lambda lidar: lidar.getRangeImage()[1],
+            1.0,
+        ),
+        (
+            "rotation 0 1 0 1.5707963",
+            "DistanceSensor { lookupTable [ 0 0 0, 9 9 0 ] }",
+            WALL,
+            lambda sensor: sensor.getValue(),
+            1.0,
+        ),
+    ],
+)
+def test_an_old_device_measures_along_its_old_axes(
+    robot: str, sensor: str, surroundings: str, measure: Callable[..., object], expected: object
+):
+    named = sensor if 'name "s"' in sensor else sensor.replace("{", '{ name "s"', 1)
+    simulation = simulate(f"Robot {{ {robot} children [ {named} ] }} {surroundings}")
+    sensed = device(simulation, "s")
+    sensed.enable(8)
+    run(simulation, 0.016)
+    assert measure(sensed) == pytest.approx(expected, abs=1e-6, rel=0.01)
+
+
+@pytest.mark.parametrize(("release", "ahead"), [(OLD, [0, 0, -1]), (NEW, [1, 0, 0])])
+def test_an_e_puck_drives_ahead_in_the_axes_of_its_world(release: str, ahead: list[float]):
+    simulation = simulate("DEF BODY E-puck { } " + FLOOR, release)
+    for side in ("left", "right"):
+        turning(simulation, 5.0, f"{side} wheel motor")
+    run(simulation, 2)
+    driven = 5.0 * 0.02 * 2
+    assert place(simulation) == pytest.approx([driven * axis for axis in ahead], rel=0.02, abs=3e-3)
+    assert node(simulation, "BODY").getOrientation() == pytest.approx([1, 0, 0, 0, 1, 0, 0, 0, 1], abs=0.02)
+
+
+def test_a_node_in_a_slot_of_a_proto_keeps_the_axes_of_its_file():
+    simulation = simulate(
+        'E-puck { turretSlot [ DEF BODY Solid { translation 0 0.1 -0.2 children [ Receiver { name "r" } ] } ] }'
+    )
+    assert place(simulation) == pytest.approx([0, 0.1 + 0.0486, 0.0095 - 0.2], abs=1e-6)
+
+
+ROBOTS = {
+    "E-puck": (0.02, "left wheel motor", "right wheel motor"),
+    "TurtleBot3Burger": (0.033, "left wheel motor", "right wheel motor"),
+    "Pioneer3dx": (0.0975, "left wheel", "right wheel"),
+    "Pioneer3at": (0.11, "front left wheel", "back left wheel", "front right wheel", "back right wheel"),
+    "Khepera4": (0.021, "left wheel motor", "right wheel motor"),
+    "Thymio2": (0.021, "motor.left", "motor.right"),
+}
+"""The radius of the wheels (m) and the motors of each robot of the library."""
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_robot_of_the_library_drives_ahead_and_stays_upright(robot: str):
+    radius, *motors = ROBOTS[robot]
+    simulation = simulate(f"DEF BODY {robot} {{ }} {FLOOR}", NEW)
+    before = place(simulation)
+    for motor in motors:
+        turning(simulation, 5.0, motor)
+    run(simulation, 2)
+    # Two seconds at 5 rad/s; casters slip.
+    assert place(simulation)[0] == pytest.approx(before[0] + radius * 10, rel=0.15)
+    assert place(simulation)[1:] == pytest.approx(before[1:], abs=2e-3)
+    assert node(simulation, "BODY").getOrientation()[8] == pytest.approx(1, abs=1e-3)
+
+
+def test_a_scenario_needs_z_upward(tmp_path):
+    path = tmp_path / "w.wbt"
+    path.write_text("#VRML_SIM R2021b utf8\nWorldInfo { } E-puck { }")
+    with pytest.raises(WorldError, match="the axes of the world are not ENU"):
+        read_project(path)
+
+
+def test_all_plain_objects_of_the_library_are_read():
+    names = sorted(equivalents())
+    world = read("\n".join(f"{name} {{ translation 0 0 {number} }}" for number, name in enumerate(names)))
+    assert not world.findings.errors
+    assert len(build_scene(world).robots) == 7
+
+
+def test_a_template_of_the_project_gives_way_to_an_equivalent(tmp_path):
+    (tmp_path / "protos" / "arenas").mkdir(parents=True)
+    template = "#VRML_SIM R2023b utf8\nPROTO Floor [ ] { Solid { name %<= 1 >% } }"
+    (tmp_path / "protos" / "arenas" / "Floor.proto").write_text(template)
+    (warning,) = read("Floor { }", tmp_path).findings
+    assert (warning.severity, warning.help) == ("warning", "its equivalent takes its place")
