@@ -75,6 +75,13 @@ def command(
             " version as this one.",
         ),
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        option(
+            "--controller ROBOT=FILE",
+            "The program of a robot, such as of one whose controller is <extern>; may be repeated.",
+        ),
+    ] = None,
     record: Annotated[
         Path | None,
         option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
@@ -92,15 +99,16 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
+    files = _Files(world, protos or (), _chosen(controller or ()))
     with _checked(world, protos or ()):
-        opened = _read(world, protos or ())
+        opened = _read(files)
         if not allow_code:
             _show_robots(opened, as_json=as_json)
             return
         page = _Page(host, port, open_) if view else None
         is_fast = not view if fast is None else fast
         options = _Options(steps, timeout, python, record, force, page, is_fast, as_json)
-        _run(world, protos or (), opened, options)
+        _run(files, opened, options)
 
 
 def start(world: Path, protos: Sequence[Path], name: str, title: str) -> Starter:
@@ -150,6 +158,34 @@ def check_world(path: Path) -> None:
     raise UsageError(f"{path} is a folder{hint}" if path.is_dir() else f"{path} does not exist{hint}")
 
 
+def _chosen(words: Iterable[str]) -> dict[str, Path]:
+    """Return the programs of `--controller ROBOT=FILE` by the name of the robot.
+
+    Raises:
+        UsageError: A text has no `=`, or a file does not exist.
+    """
+    chosen = {}
+    for word in words:
+        robot, sign, file = word.partition("=")
+        path = Path(file).resolve()
+        if not (sign and path.is_file()):
+            problem = (
+                "there is no such file" if sign else "write ROBOT=FILE, such as e-puck=controllers/c/c.py"
+            )
+            raise UsageError(f"--controller {word}: {problem}")
+        chosen[robot] = path
+    return chosen
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What the user named: a world, folders with PROTO files, and programs by robot."""
+
+    world: Path
+    protos: Sequence[Path]
+    controllers: dict[str, Path]
+
+
 @dataclass(frozen=True)
 class _Opened:
     """A world that was read, and the programs of its robots."""
@@ -159,36 +195,34 @@ class _Opened:
     programs: list[tuple[Robot, Program]]
 
 
-def _read(path: Path, protos: Sequence[Path]) -> _Opened:
-    from deepbots_webots.project import read_world
+def _read(files: _Files) -> _Opened:
+    from deepbots_webots.project import programs, read_world
     from deepbots_webots.scene import build_scene
 
-    world = read_world(path, protos)
+    world = read_world(files.world, files.protos)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
     world.findings.require_none()
-    return _Opened(world, scene, _programs(world, scene))
-
-
-def _programs(world: World, scene: Scene) -> list[tuple[Robot, Program]]:
-    from deepbots_webots.project import programs
-
-    pairs = list(programs(world.files, scene.robots))
+    names = [robot.name for robot in scene.robots]
+    unknown = next((name for name in files.controllers if name not in names), None)
+    if unknown is not None:
+        raise UsageError(f"--controller {unknown}=...: the robots of the world are {', '.join(names)}")
+    pairs = list(programs(world.files, scene.robots, files.controllers))
     for robot, program in pairs:
         if program.remark:
             terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.remark}")
-    return pairs
+    return _Opened(world, scene, pairs)
 
 
 def _show_robots(opened: _Opened, *, as_json: bool) -> None:
-    by_robot = dict(opened.programs)
+    paths = {robot: program.path for robot, program in opened.programs}
     rows = [
         {
             "robot": robot.name,
             "supervisor": "yes" if robot.is_supervisor else "no",
-            "controller": robot.controller,
-            "runs": "yes" if robot in by_robot and by_robot[robot].path is not None else "no",
+            "controller": _controller(robot, paths.get(robot)),
+            "runs": "yes" if paths.get(robot) is not None else "no",
             "devices": ", ".join(robot.devices),
         }
         for robot in opened.scene.robots
@@ -200,6 +234,11 @@ def _show_robots(opened: _Opened, *, as_json: bool) -> None:
     if not rows:
         note = "the world has no robots, so that no controller would run"
     terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
+
+
+def _controller(robot: Robot, path: Path | None) -> str:
+    """Return the name of a controller; the file of one that has another name."""
+    return robot.controller if path is None or path.stem == robot.controller else path.name
 
 
 def _short(names: Iterable[str]) -> str:
@@ -242,7 +281,7 @@ class _Options:
     as_json: bool
 
 
-def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options) -> None:
+def _run(files: _Files, opened: _Opened, options: _Options) -> None:
     from deepbots_webots.simulation import Pace, Simulation
 
     simulation = Simulation(opened.scene, opened.world.span)
@@ -251,13 +290,13 @@ def _run(path: Path, protos: Sequence[Path], opened: _Opened, options: _Options)
         with ExitStack() as stack:
             viewer = None
             if options.page is not None:
-                viewer = stack.enter_context(_serve(simulation, pace, path.name, options))
+                viewer = stack.enter_context(_serve(simulation, pace, files.world.name, options))
             outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
             # A stuck controller is a thread that nothing ends, and it would run beside its successor.
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(path, protos)
+                opened = _read(files)
                 simulation = Simulation(opened.scene, opened.world.span)
                 pace = Pace(simulation, is_fast=pace.is_fast)
                 viewer.show(simulation, pace)

@@ -28,6 +28,7 @@ from deepbots_webots.sensors import (
     ScalarSensor,
     Sensor,
     TouchSensor,
+    Unimplemented,
     returns,
     returns_number,
 )
@@ -100,7 +101,10 @@ class Motor(JointDevice):
         super().__init__(simulation, spec)
         self._state = simulation.physics.motors[spec.node]
         self._feedback = _Feedback(simulation, spec)
-        self._range = number(spec.node, "minPosition"), number(spec.node, "maxPosition")
+        self.renew()
+
+    def renew(self) -> None:
+        self._range = number(self._spec.node, "minPosition"), number(self._spec.node, "maxPosition")
 
     def setPosition(self, position: float) -> None:
         position, state = float(position), self._state
@@ -385,6 +389,26 @@ class Skin(Device):
 
 class Radio(Device):
     """A radio: no function of it is implemented."""
+
+
+class Joystick(Unimplemented):
+    """A joystick."""
+
+
+class Motion(Unimplemented):
+    """A file with motions of joints."""
+
+
+class Mouse(Unimplemented):
+    """The mouse of a person."""
+
+
+class MouseState(Unimplemented):
+    """Where the mouse of a person is."""
+
+
+class Proto(Unimplemented):
+    """The definition of a PROTO node."""
 
 
 _CLASSES: dict[str, type[Device]] = {

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 from math import nan
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import boolean, child, integer, number, text
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
+from deepbots_webots.nodes import axis_angle, boolean, child, integer, number, numbers, real, text, walk
 from deepbots_webots.scene import AXES
 from deepbots_webots.sensors import (
     NotImplementedCallError,
@@ -18,15 +22,31 @@ from deepbots_webots.sensors import (
     returns_list,
     returns_number,
 )
+from deepbots_webots.shapes import Mesh, compose, inverse, visible_shape
+from deepbots_webots.tree import number_of
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
+    from deepbots_cli.frames import Frame, Triple
     from deepbots_webots.rendering import Pictures
     from deepbots_webots.scene import Device as Spec
+    from deepbots_webots.shapes import Shape
     from deepbots_webots.simulation import Simulation
     from deepbots_webots.syntax import Node
+
+    Floats = NDArray[np.float64]
+
+
+class _Sees(Sensor):
+    """A device that looks for solids."""
+
+    def _is_hidden(self, offset: Triple, parts: set[Node]) -> bool:
+        """Return whether something else than these solids is before a point, at an offset in the world."""
+        distance, physics = math.hypot(*offset), self._simulation.physics
+        unit = frames.scaled(offset, 1 / distance)
+        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
+        return geom >= 0 and physics.geoms[geom][1].owner not in parts
 
 
 class _HasRange(Sensor):
@@ -96,10 +116,9 @@ class Camera(_Optics):
         super().__init__(simulation, spec)
         self._picture: NDArray[np.uint8] | None = None
         self._zoom = child(spec.node, "zoom")
+        self._recognition = _Recognition(simulation, spec, self)
 
     def sample(self) -> None:
-        import numpy as np
-
         colors = self._pictures().colors(self._frame(), self._size, self._fov, self.getNear())
         noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
         if noise > 0:
@@ -114,8 +133,6 @@ class Camera(_Optics):
 
     def getImage(self) -> bytes | None:
         """Return the picture; None before the first one."""
-        import numpy as np
-
         if self._picture is None:
             return None
         opaque = np.full((*self._picture.shape[:2], 1), 255, np.uint8)
@@ -150,6 +167,21 @@ class Camera(_Optics):
     def hasRecognition(self) -> bool:
         return child(self._spec.node, "recognition") is not None
 
+    def recognitionEnable(self, samplingPeriod: int) -> None:
+        if self.hasRecognition():
+            self._recognition.enable(samplingPeriod)
+        else:
+            self._warn("recognitionEnable() has no effect: the camera has no Recognition node")
+
+    def recognitionDisable(self) -> None:
+        self._recognition.disable()
+
+    getRecognitionSamplingPeriod = returns("_recognition._asked")
+    getRecognitionObjects = returns_list("_recognition.objects")
+
+    def getRecognitionNumberOfObjects(self) -> int:
+        return len(self._recognition.objects)
+
     def getMinFov(self) -> float:
         return self._fov if self._zoom is None else number(self._zoom, "minFieldOfView")
 
@@ -165,6 +197,129 @@ class Camera(_Optics):
         self._fov = float(f)
 
 
+@dataclass(frozen=True)
+class CameraRecognitionObject:
+    """A solid that a camera recognizes: the id of its node; the middle of its outline (m) and its rotation
+    (axis, angle) in the frame of the camera; its width and height there, m; and its place in the picture,
+    pixels."""
+
+    id: int
+    position: list[float]
+    orientation: list[float]
+    size: list[float]
+    position_on_image: list[int]
+    size_on_image: list[int]
+    number_of_colors: int
+    colors: list[float]
+    model: str
+    getId, getPosition, getOrientation = returns("id"), returns("position"), returns("orientation")
+    getSize, getModel = returns("size"), returns("model")
+    getPositionOnImage, getSizeOnImage = returns("position_on_image"), returns("size_on_image")
+    getNumberOfColors, getColors = returns("number_of_colors"), returns("colors")
+
+
+class _Recognition(_Sees):
+    """The solids with `recognitionColors` that a camera sees."""
+
+    def __init__(self, simulation: Simulation, spec: Spec, camera: Camera) -> None:
+        super().__init__(simulation, spec)
+        self._camera = camera
+        self.objects: list[CameraRecognitionObject] = []
+
+    def forget(self) -> None:
+        self.objects = []
+
+    def sample(self) -> None:
+        node = child(self._spec.node, "recognition")
+        assert node is not None
+        candidates = [
+            self._recognized(solid, numbers(solid, "recognitionColors"), node)
+            for solid, (body, _) in self._simulation.scene.attachments.items()
+            if "recognitionColors" in solid.fields and body.robot is not self._spec.body.robot
+        ]
+        objects, most = [each for each in candidates if each is not None], integer(node, "maxObjects")
+        if 0 <= most < len(objects):
+            objects = sorted(objects, key=lambda each: -math.prod(each.size_on_image))[:most]
+        self.objects = objects
+
+    def _recognized(
+        self, solid: Node, colors: list[float], recognition: Node
+    ) -> CameraRecognitionObject | None:
+        """Return what the camera recognizes of a solid: the box around its outline in the frame of the
+        camera, and in the picture; None if it does not see it."""
+        to_camera, parts = inverse(self._frame()), {real(node) for node in walk([solid])}
+        spans = [_span(shape, compose(to_camera, frame)) for shape, frame in self._outline(parts)]
+        if not (spans and colors):
+            return None
+        low, high = np.min(spans, axis=0)[0], np.max(spans, axis=0)[1]
+        middle, corners = (low + high) / 2, np.array([*product(*zip(low, high, strict=True))])
+        if high[0] <= 0 or np.linalg.norm(middle) > number(recognition, "maxRange"):
+            return None
+        pixels = self._project(corners)
+        first, last = pixels.min(axis=0), pixels.max(axis=0)
+        occlusion = integer(recognition, "occlusion")
+        targets = [*corners[: 8 * (occlusion == 2)], middle] if occlusion else []
+        is_hidden = bool(targets) and all(
+            self._is_hidden(frames.rotate(self._frame()[1], tuple(target)), parts) for target in targets
+        )
+        if is_hidden or min(last - first) < 1:
+            return None
+        frame = compose(to_camera, self._simulation.physics.frame(*self._simulation.scene.attachments[solid]))
+        return CameraRecognitionObject(
+            id=number_of(self._simulation, solid),
+            position=middle.tolist(),
+            orientation=axis_angle(frame[1]),
+            size=(high - low)[1:].tolist(),
+            position_on_image=np.rint((first + last) / 2).astype(int).tolist(),
+            size_on_image=(last - first).tolist(),
+            number_of_colors=len(colors) // 3,
+            colors=colors,
+            model=text(solid, "model"),
+        )
+
+    def _outline(self, parts: set[Node]) -> list[tuple[Shape, Frame]]:
+        """Return the bounding objects of nodes with their frames in the world; without any, what is seen."""
+        scene, physics = self._simulation.scene, self._simulation.physics
+        bounding = [
+            (geometry.shape, physics.frame(body, geometry.frame))
+            for body, geometry in physics.geoms
+            if geometry.owner in parts
+        ]
+        seen = [
+            (visible_shape(visual, scene.files), physics.frame(visual.body, visual.frame))
+            for visual in scene.visuals
+            if not bounding and visual.node in parts and visual.body is not None
+        ]
+        return bounding or [(shape, frame) for shape, frame in seen if shape is not None]
+
+    def _project(self, points: Floats) -> Floats:
+        """Return the pixels of points in the frame of the camera, within the picture, shape (points, 2)."""
+        (width, height), half = self._camera._size, math.tan(self._camera.getFov() / 2)
+        depth = np.maximum(points[:, 0], self._camera.getNear())
+        across, up = -points[:, 1] / depth / half, points[:, 2] / depth / half * width / height
+        places = np.stack(((across + 1) / 2 * width, (1 - up) / 2 * height), axis=1)
+        return np.clip(places, 0, (width - 1, height - 1)).astype(int)
+
+
+def _span(shape: Shape, frame: Frame) -> tuple[Floats, Floats]:
+    """Return the lowest and the highest coordinates of a shape in a frame; the origin of one without end."""
+    axes = np.array([frames.rotate(frame[1], axis) for axis in AXES]).T
+    middle, along, half = np.array(frame[0]), np.abs(axes[:, 2]), np.zeros(3)
+    match shape:
+        case Mesh(vertices):
+            points = middle + vertices @ axes.T
+            return points.min(axis=0), points.max(axis=0)
+        case Box(size):
+            half = np.abs(axes) @ np.array(size) / 2
+        case Sphere(radius):
+            half += radius
+        case Capsule(radius, length):
+            half = along * length / 2 + radius
+        case Cylinder(radius, length):
+            half = along * length / 2 + radius * np.sqrt(np.maximum(0.0, 1 - along**2))
+    return middle - half, middle + half
+
+
 class RangeFinder(_Optics, _HasRange):
     """A depth camera: distances along its axis (m), row by row from above; infinite beyond its range."""
 
@@ -173,8 +328,6 @@ class RangeFinder(_Optics, _HasRange):
         self._depths: NDArray[np.float32] | None = None
 
     def sample(self) -> None:
-        import numpy as np
-
         node = self._spec.node
         depths = self._pictures().depths(self._frame(), self._size, self._fov).astype(np.float32)
         least, most = self.getMinRange(), self.getMaxRange()
@@ -205,8 +358,6 @@ class RangeFinder(_Optics, _HasRange):
 
     def saveImage(self, filename: str, quality: int) -> int:
         """Write a gray picture: white at the largest range."""
-        import numpy as np
-
         if self._depths is None:
             return -1
         gray = np.clip(self._depths / self.getMaxRange(), 0.0, 1.0) * 255
@@ -251,21 +402,31 @@ class Lidar(_HasRange):
         self._rays: Any = None
 
     def _begin(self) -> None:
-        import numpy as np
-
-        if text(self._spec.node, "projection") != "cylindrical":
-            raise NotImplementedCallError("a Lidar with a planar projection is not implemented")
+        node, tilt = self._spec.node, number(self._spec.node, "tiltAngle")
+        heights = np.linspace(0.5, -0.5, self._layers) if self._layers > 1 else np.zeros(1)
+        if text(node, "projection") == "planar" or not boolean(node, "spherical"):
+            self._rays = self._planar_rays(heights, tilt)
+            return
         width = 2 * math.pi if self._rotates else self._fov
         yaws = width * (0.5 - (np.arange(self._columns) + 0.5) / self._columns)
         if self._rotates:
             yaws = -2 * math.pi * (np.arange(self._columns) + 0.5) / self._columns
-        heights = np.linspace(0.5, -0.5, self._layers) if self._layers > 1 else np.zeros(1)
-        pitch, yaw = np.meshgrid(
-            self._high * heights + number(self._spec.node, "tiltAngle"), yaws, indexing="ij"
-        )
+        pitch, yaw = np.meshgrid(self._high * heights + tilt, yaws, indexing="ij")
         parts = (np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), np.sin(pitch))
         self._rays = np.stack(parts, axis=-1)
-        """Shape (layers, columns, 3), in the frame of the sensor."""
+        """Shape (layers, columns, 3), in the frame of the sensor. A distance times its ray is a point."""
+
+    def _planar_rays(self, heights: Floats, tilt: float) -> Floats:
+        """Return rays to evenly spaced points of a plane at a distance of 1; so distances are those along the
+        axis, as in a depth picture."""
+        if self._rotates or not (self._fov < math.pi and self._high < math.pi):
+            raise NotImplementedCallError(
+                "a planar Lidar that rotates or sees half a circle is not implemented"
+            )
+        columns = np.tan(self._fov / 2) * (1 - 2 * (np.arange(self._columns) + 0.5) / self._columns)
+        up, left = np.meshgrid(2 * np.tan(self._high / 2) * heights, columns, indexing="ij")
+        sine, cosine = math.sin(tilt), math.cos(tilt)
+        return np.stack((cosine - sine * up, left, sine + cosine * up), axis=-1)
 
     def sample(self) -> None:
         if not self._rotates:
@@ -279,15 +440,17 @@ class Lidar(_HasRange):
 
     def _measure(self, columns: list[int]) -> None:
         """Measure the distances in some columns."""
-        import numpy as np
-
         if not columns:
             return
         start, rotation = self._frame()
         axes = np.array([frames.rotate(rotation, axis) for axis in AXES])
         least, most = self.getMinRange(), self.getMaxRange()
-        rays = self._rays[:, columns].reshape(-1, 3) @ axes
-        distances = self._simulation.physics.rays.distances(start, rays, most, self._spec.body.robot)
+        rays = self._rays[:, columns].reshape(-1, 3)
+        lengths = np.linalg.norm(rays, axis=1)
+        hits = self._simulation.physics.rays.distances(
+            start, rays / lengths[:, None] @ axes, most * float(lengths.max()), self._spec.body.robot
+        )
+        distances = (hits / lengths).tolist()
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
         for number_, distance in enumerate(distances):
@@ -362,7 +525,7 @@ class RadarTarget:
     azimuth: float
 
 
-class Radar(_HasRange):
+class Radar(_Sees, _HasRange):
     """Solids with a `radarCrossSection` within the range and the field of view."""
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
@@ -419,7 +582,7 @@ class Radar(_HasRange):
         half = self.getHorizontalFov() / 2
         if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
             return None
-        if boolean(node, "occlusion") and self._is_hidden(solid, offset, distance):
+        if boolean(node, "occlusion") and self._is_hidden(offset, {solid}):
             return None
         measured = distance + self._noise(number(node, "rangeNoise"))
         measured = min(max(measured, near), far)
@@ -443,13 +606,6 @@ class Radar(_HasRange):
         if (low or high) and not low <= speed <= high:
             return False
         return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
-
-    def _is_hidden(self, solid: Node, offset: tuple[float, float, float], distance: float) -> bool:
-        """Return whether something is between the radar and a solid."""
-        physics = self._simulation.physics
-        unit = frames.scaled(offset, 1 / distance)
-        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
-        return geom >= 0 and physics.geoms[geom][0] is not self._simulation.scene.attachments[solid][0]
 
     def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:
         """Merge targets that the radar cannot tell apart: into their means, weighted by power."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from math import ceil, inf, isinf
 from typing import TYPE_CHECKING, Any
 
@@ -167,30 +168,41 @@ class MotorState:
 class Motors:
     """The motors of a world, by node. Those without a torque control and with a torque are active."""
 
-    def __init__(self, model: Any, data: Any, joint_ids: Mapping[Joint, int]) -> None:
+    def __init__(
+        self, model: Any, data: Any, joint_ids: Mapping[Joint, int], states: Mapping[Node, MotorState]
+    ) -> None:
+        """Find the motors of a model; those that have a state keep it."""
         self._model, self._data = model, data
-        self._states = {
-            joint.motor: self._state(joint, joint.motor, index)
-            for joint, index in joint_ids.items()
-            if joint.motor is not None
-        }
+        self._states: dict[Node, MotorState] = {}
+        for joint, index in joint_ids.items():
+            node = joint.motor
+            if node is None:
+                continue
+            motor = self._states[node] = states.get(node) or MotorState(joint, 0, 0, *_limits(node))
+            motor.dof, motor.position_address = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
+            if node not in states:
+                motor.reset(joint.position)
         self._active: list[MotorState] = []
 
     def __getitem__(self, node: Node) -> MotorState:
         return self._states[node]
 
-    def _state(self, joint: Joint, node: Node, index: int) -> MotorState:
-        strength = "maxTorque" if node.type == "RotationalMotor" else "maxForce"
-        p, i, d = (*numbers(node, "controlPID"), 0.0, 0.0, 0.0)[:3]
-        return MotorState(
-            joint,
-            int(self._model.jnt_dofadr[index]),
-            int(self._model.jnt_qposadr[index]),
-            max(0.0, number(node, "maxVelocity")),
-            min(max(0.0, number(node, strength)), MAX_TORQUE),
-            (p, i, d),
-            number(node, "acceleration"),
-        )
+    def states(self) -> dict[Node, MotorState]:
+        """Return copies of the states, by node."""
+        return {node: replace(motor) for node, motor in self._states.items()}
+
+    def restore(self, states: Mapping[Node, MotorState]) -> None:
+        for node, motor in states.items():
+            vars(self._states[node]).update(vars(motor))
+        self.renew()
+
+    def read(self, node: Node) -> None:
+        """Read the fields of a motor again. All of its new torque or force is available."""
+        motor = self._states[node]
+        motor.max_velocity, motor.max_torque, motor.gains, motor.acceleration = _limits(node)
+        motor.available_torque = motor.max_torque
+        motor.target_velocity = min(max(motor.target_velocity, -motor.max_velocity), motor.max_velocity)
+        self.renew()
 
     def reset(self) -> None:
         """Let all motors keep the present positions of their joints."""
@@ -253,7 +265,24 @@ class Motors:
         return float(self._data.efc_force[row]) if row < self._data.nefc else 0.0
 
 
+def _limits(node: Node) -> tuple[float, float, tuple[float, float, float], float]:
+    """Return the largest velocity and torque or force of a motor, its gains and its acceleration."""
+    strength = "maxTorque" if node.type == "RotationalMotor" else "maxForce"
+    p, i, d = (*numbers(node, "controlPID"), 0.0, 0.0, 0.0)[:3]
+    max_torque = min(max(0.0, number(node, strength)), MAX_TORQUE)
+    return max(0.0, number(node, "maxVelocity")), max_torque, (p, i, d), number(node, "acceleration")
+
+
 MAX_SUBSTEP_MS = 8.0
+
+
+@dataclass(frozen=True)
+class State:
+    """A state of a world: that of the engine, of joints and bodies, and of motors."""
+
+    engine: Floats
+    parts: dict[Joint | Body, list[Floats]]
+    motors: dict[Node, MotorState]
 
 
 class Physics:
@@ -265,34 +294,68 @@ class Physics:
         Raises:
             WorldError: MuJoCo refuses the world.
         """
-        self.scene = scene
+        self.scene, self._span = scene, span
         self.substeps = ceil(scene.basic_step / MAX_SUBSTEP_MS)
         self.substep = scene.basic_step / 1000 / self.substeps
+        self._build({})
+        self.reset()
+
+    def _build(self, motors: Mapping[Node, MotorState]) -> None:
+        """Build the model and its state at the start; these motors keep theirs."""
+        scene = self.scene
         builder = ModelBuilder(scene, self.substep)
         try:
             self.model = model = builder.compile()
         except ValueError as error:
             message = " ".join(str(error).split())[:200]
-            raise WorldError.at(span, f"MuJoCo refuses the world: {message}") from error
+            raise WorldError.at(self._span, f"MuJoCo refuses the world: {message}") from error
         self.data = mj.MjData(model)
         self.bodies = [int(element.id) for element in builder.bodies]
         self.geoms = builder.geometries_by_id()
         self._joint_ids = {joint: int(element.id) for joint, element in builder.joints.items()}
-        self._free = {
-            body: int(model.jnt_qposadr[element.id]) for body, element in builder.free_joints.items()
-        }
-        self._free_dofs = {
-            body: int(model.jnt_dofadr[element.id]) for body, element in builder.free_joints.items()
-        }
+        self._free_ids = {body: int(element.id) for body, element in builder.free_joints.items()}
+        self._free = {body: int(model.jnt_qposadr[index]) for body, index in self._free_ids.items()}
+        self._free_dofs = {body: int(model.jnt_dofadr[index]) for body, index in self._free_ids.items()}
         self._static_frames = model.body_pos.copy(), model.body_quat.copy()
         self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
         self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
         self._damped = _damped_bodies(scene)
-        self.motors = Motors(model, self.data, self._joint_ids)
+        self.motors = Motors(model, self.data, self._joint_ids, motors)
         self.rays = Rays(model, self.data, [body for body, _ in self.geoms], self.update_positions)
         self._has_positions = self._has_velocities = False
         self._start = self._state_at_begin()
-        self.reset()
+
+    def rebuild(self, change: Callable[[], None]) -> None:
+        """Change the scene, and build the model anew. Bodies, joints and motors that stay keep their
+        state."""
+        parts = self._parts()
+        change()
+        self._build(self.motors._states)
+        self.data.qpos[:], self.data.qvel[:] = self._start
+        self._restore_parts(parts)
+        self.motors.renew()
+        mj.mj_forward(self.model, self.data)
+
+    def _parts(self) -> dict[Joint | Body, list[Floats]]:
+        return {owner: [array[at].copy() for array, at in places] for owner, places in self._places()}
+
+    def _restore_parts(self, parts: Mapping[Joint | Body, list[Floats]]) -> None:
+        for owner, places in self._places():
+            for (array, at), values in zip(places, parts.get(owner, ()), strict=False):
+                array[at] = values
+
+    def _places(self) -> Iterator[tuple[Joint | Body, list[tuple[Floats, Any]]]]:
+        """Yield joints and bodies with the arrays and indices of what they keep in a new model."""
+        model, data = self.model, self.data
+        positions, velocities = [*model.jnt_qposadr, model.nq], [*model.jnt_dofadr, model.nv]
+        joints: list[tuple[Joint | Body, int]] = [*self._joint_ids.items(), *self._free_ids.items()]
+        for owner, index in joints:
+            dofs = slice(velocities[index], velocities[index + 1])
+            at = slice(positions[index], positions[index + 1])
+            yield owner, [(data.qpos, at), (data.qvel, dofs), (model.dof_damping, dofs)]
+        for body, number_ in zip(self.scene.bodies, self.bodies, strict=True):
+            if body not in self._free:
+                yield body, [(model.body_pos, number_), (model.body_quat, number_)]
 
     def _state_at_begin(self) -> tuple[Floats, Floats]:
         position, velocity = self.data.qpos.copy(), np.zeros(self.model.nv)
@@ -508,16 +571,17 @@ class Physics:
         # MuJoCo keeps applied forces, while a force of a supervisor in Webots acts for one basic time step.
         self.data.xfrc_applied[:] = 0.0
 
-    def snapshot(self) -> Floats:
-        """Return the state."""
+    def snapshot(self) -> State:
         # This state has the warm start of the solver too, without which a restored world goes on differently.
         spec = mj.mjtState.mjSTATE_INTEGRATION
-        state = np.zeros(mj.mj_stateSize(self.model, spec))
-        mj.mj_getState(self.model, self.data, state, spec)
-        return state
+        engine = np.zeros(mj.mj_stateSize(self.model, spec))
+        mj.mj_getState(self.model, self.data, engine, spec)
+        return State(engine, self._parts(), self.motors.states())
 
-    def restore(self, state: Floats) -> None:
-        mj.mj_setState(self.model, self.data, state, mj.mjtState.mjSTATE_INTEGRATION)
+    def restore(self, state: State) -> None:
+        self._restore_parts(state.parts)
+        self.motors.restore(state.motors)
+        mj.mj_setState(self.model, self.data, state.engine, mj.mjtState.mjSTATE_INTEGRATION)
         self._has_positions = self._has_velocities = False
 
 

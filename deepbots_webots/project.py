@@ -17,6 +17,7 @@ import math
 import os
 import random
 import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cache, partial
@@ -165,6 +166,21 @@ def world_of_source(source: Source, path: Path, files: Files) -> World:
     return World(path, files, document.nodes, findings, Span(source, 0, 0))
 
 
+def nodes_of_text(text: str, world: Source, files: Files) -> tuple[list[Node], WorldFindings]:
+    """Read nodes that come into a world: of a file, or of a text that uses the PROTOs of the world.
+
+    Raises:
+        WorldError: The text has no nodes; has the finding.
+    """
+    if not text.startswith("#VRML"):
+        header, *lines = world.text.splitlines()
+        addresses = [line for line in lines if line.lstrip().startswith(("EXTERNPROTO", "IMPORTABLE"))]
+        text = "\n".join([header, *addresses, text])
+    source = Source(world.name, text.replace("#VRML_OBJ", "#VRML_SIM", 1))
+    read = world_of_source(source, Path(world.name), files)
+    return read.nodes, read.findings
+
+
 @dataclass(frozen=True)
 class Program:
     """The program of a robot: the file to run, or else the remark says why there is none."""
@@ -185,28 +201,50 @@ _COMPILED = {
 }
 
 
-def programs(files: Files, robots: Sequence[Robot]) -> Iterator[tuple[Robot, Program]]:
-    """Yield the robots of a world that have a controller, with their programs. A controller `<extern>` is the
-    only one of the project that no robot names."""
-    named = {robot.controller for robot in robots}
-    unnamed = [
-        path.stem
-        for path in files.project.glob("controllers/*/*.py")
-        if path.stem == path.parent.name and path.stem not in named
-    ]
+def programs(
+    files: Files, robots: Sequence[Robot], chosen: Mapping[str, Path] | None = None
+) -> Iterator[tuple[Robot, Program]]:
+    """Yield the robots of a world that have a controller, with their programs.
+
+    A controller `<extern>` is the one of the project that has the name of the robot, or else the only one
+    that no robot names. `chosen` are files that the user names, by the name of a robot.
+    """
+    named = {robot.controller for robot in robots} | {path.parent.name for path in (chosen or {}).values()}
+    unnamed = {path.parent.name: path for path in _programs_of(files) if path.parent.name not in named}
     for robot in robots:
         name = robot.controller
-        if name == "<extern>" and len(unnamed) == 1:
-            extern = _program(files, unnamed[0])
-            remark = extern.remark or f"is controllers/{unnamed[0]}, the only one that no robot names"
-            yield robot, Program(name, extern.path, remark)
+        if chosen and robot.name in chosen:
+            yield robot, Program(name, chosen[robot.name])
+        elif name == "<extern>":
+            yield robot, _extern(robot, files, unnamed)
         elif name not in ("", "<none>", "void"):
-            yield robot, _program(files, name)
+            yield robot, _program(files, name, robot)
 
 
-def _program(files: Files, name: str) -> Program:
-    if name == "<extern>":
-        return Program(name, None, "is started by hand (<extern>), which deepbots cannot wait for")
+def _programs_of(files: Files) -> list[Path]:
+    """Return the program of each folder of controllers: the file with its name, or its only one; of a project
+    without such folders, its only file of Python."""
+    found = []
+    for folder in sorted(files.project.glob("controllers/*")) or [files.project]:
+        inner = sorted(folder.glob("*.py"))
+        found += [path for path in inner if path.stem == folder.name] or (inner if len(inner) == 1 else [])
+    return [path for path in found if files.allows(path)]
+
+
+def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path]) -> Program:
+    path = unnamed.get(robot.name)
+    if path is None and len(unnamed) == 1:
+        (path,) = unnamed.values()
+    if path is not None:
+        return Program(robot.controller, path, f"is {path.relative_to(files.project)}")
+    return Program(robot.controller, None, f"is any program; name it: {_option(robot.name)}")
+
+
+def _option(robot: str) -> str:
+    return f"--controller {shlex.quote(robot)}=FILE"
+
+
+def _program(files: Files, name: str, robot: Robot) -> Program:
     if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):
         return Program(name, None, "is none of the project")
     folder = files.project / "controllers" / name
@@ -218,7 +256,8 @@ def _program(files: Files, name: str) -> Program:
     for suffix, language in _COMPILED.items():
         if (folder / f"{name}{suffix}").is_file():
             return Program(name, None, f"is written in {language}; deepbots runs Python")
-    return Program(name, None, f"has no file controllers/{name}/{name}.py")
+    missing = f"has no file controllers/{name}/{name}.py; name another one: {_option(robot.name)}"
+    return Program(name, None, missing)
 
 
 # Equivalents

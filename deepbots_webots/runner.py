@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import importlib.machinery
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -29,6 +30,7 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
 from deepbots_webots import supervisor
 from deepbots_webots.nodes import texts
+from deepbots_webots.project import programs as programs_of
 from deepbots_webots.simulation import Pace
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 """Defaults of environment variables of controllers. Without them, Matplotlib opens windows, and small
 networks lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy
 machine)."""
+_PACKAGE = str(Path(__file__).parent)
 WATCH_INTERVAL_S = 0.5
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
@@ -123,21 +126,29 @@ class Runner:
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
-        self.packages = list(packages)
-        self.controllers = [
-            Controller(robot, program.path, texts(robot.node, "controllerArgs"))
-            for robot, program in programs
-            if program.path is not None
-        ]
+        self._path = [str(SITE), *packages, *sys.path]
+        self.controllers: list[Controller] = []
+        self._by_robot: dict[Robot, Controller] = {}
+        for robot, program in programs:
+            self._add(robot, program.path)
+        self._robots = set(simulation.scene.robots)
         self.is_over = False
         self._current: Controller | None = None
         self._everything_ended = threading.Event()
         self._progress = 0
         self._problems: list[str] = []
-        self._by_robot = {controller.robot: controller for controller in self.controllers}
         self._pace = pace or Pace(simulation, is_fast=True)
         self._after_step, self._on_line = after_step, on_line
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
+
+    def _add(self, robot: Robot, program: Path | None) -> None:
+        if program is not None:
+            controller = Controller(robot, program, texts(robot.node, "controllerArgs"))
+            controller.folder = str(program.parent)
+            controller.path = [controller.folder, *self._path]
+            controller.modules["__main__"] = types.ModuleType("__main__")
+            self._by_robot[robot] = controller
+            self.controllers.append(controller)
 
     # The main thread
 
@@ -154,6 +165,7 @@ class Runner:
             self._supervisors = self.controllers
         supervisor.activate(simulation)
         simulation.wait = self._wait
+        simulation.on_change.append(self._start_new)
         try:
             with self._surroundings():
                 self._begin()
@@ -166,13 +178,27 @@ class Runner:
     def _begin(self) -> None:
         """Start a thread for each controller, and let the first one run."""
         for controller in self.controllers:
-            # Locked before the thread starts, so that the thread waits until it gets the turn.
-            controller.turn.acquire()
-            controller.thread = threading.Thread(
-                target=self._work, args=(controller,), daemon=True, name=controller.name
-            )
-            controller.thread.start()
+            self._start(controller)
         self._give_turn(self.controllers[0])
+
+    def _start(self, controller: Controller) -> None:
+        # Locked before the thread starts, so that the thread waits until it gets the turn.
+        controller.turn.acquire()
+        controller.thread = threading.Thread(
+            target=self._work, args=(controller,), daemon=True, name=controller.name
+        )
+        controller.thread.start()
+
+    def _start_new(self) -> None:
+        """Start the controllers of robots that came into the world."""
+        scene, count = self.simulation.scene, len(self.controllers)
+        for robot, program in programs_of(
+            scene.files, [each for each in scene.robots if each not in self._robots]
+        ):
+            self._add(robot, program.path)
+        self._robots = set(scene.robots)
+        for controller in self.controllers[count:]:
+            self._start(controller)
 
     def _watch(self) -> None:
         """Wait for the end; a controller that does not step for too long ends the run."""
@@ -217,16 +243,14 @@ class Runner:
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
-        base = [str(SITE), *self.packages, *sys.path]
-        for controller in self.controllers:
-            controller.folder = str(controller.program.parent)
-            controller.path = [controller.folder, *base]
-            controller.modules["__main__"] = types.ModuleType("__main__")
+        register = signal.signal
+        signal.signal = _ignore_signal  # type: ignore[assignment]
         try:
             yield
         finally:
             for stream in streams:
                 stream.close()
+            signal.signal = register
             sys.meta_path.remove(finder)
             sys.path[:], sys.argv = path, argv
             os.chdir(folder)
@@ -294,6 +318,8 @@ class Runner:
         basic = self.simulation.basic_step
         controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
         self._pass_on(controller)
+        if robot not in self._robots:
+            raise SystemExit(0)  # a supervisor removed it
         return -1 if self.is_over else 0
 
     def _pass_on(self, controller: Controller) -> None:
@@ -376,6 +402,15 @@ class Runner:
         if spec is not None:
             controller.private.add(name)
         return spec
+
+
+def _ignore_signal(number: int, _: object) -> object:
+    """Take the place of `signal.signal`, which only the main thread of a process may call."""
+    name = signal.Signals(number).name
+    print(
+        f"Warning: signal.signal({name}, ...) has no effect: deepbots receives all signals", file=sys.stderr
+    )
+    return signal.getsignal(number)
 
 
 class _ProjectFinder:
@@ -461,17 +496,27 @@ def _exit_code(error: SystemExit) -> int:
 
 
 def _print_traceback(error: BaseException) -> None:
-    """Print a traceback without the frames of this module, which ran the program."""
-    trace = error.__traceback__
-    while trace is not None and trace.tb_frame.f_code.co_filename == __file__:
-        trace = trace.tb_next
-    sys.stderr.write("".join(traceback.format_exception(type(error), error, trace)))
+    """Print a traceback of the program, without the frames of deepbots around and below it."""
+    whole = traceback.TracebackException.from_exception(error)
+    described: traceback.TracebackException | None = whole
+    while described is not None:
+        own = [frame for frame in described.stack if not frame.filename.startswith(_PACKAGE)]
+        described.stack = traceback.StackSummary.from_list(own)
+        described = described.__cause__ or described.__context__
+    sys.stderr.write("".join(whole.format()))
 
 
 def _described(error: BaseException) -> str:
-    """Return the kind and the message of an error in a line."""
+    """Return the kind and the message of an error in a line, and what to do about a missing package."""
     message = " ".join(str(error).split())[:200]
-    return f"{type(error).__name__}: {message}" if message else type(error).__name__
+    described = f"{type(error).__name__}: {message}" if message else type(error).__name__
+    name = error.name if isinstance(error, ImportError) else None
+    if name is not None and name.startswith("deepbots."):
+        return f"{described}; the project is for deepbots before 1.0, such as the package deepbots==0.1.2"
+    if name is not None and isinstance(error, ModuleNotFoundError):
+        package = name.partition(".")[0]
+        return f"{described}; install the package of '{package}', or name an environment with it by --python"
+    return described
 
 
 def packages_of(python: Path) -> list[str]:

@@ -32,11 +32,14 @@ from deepbots_webots.nodes import (
     turn_of,
     vector,
     vectors,
+    walk,
 )
 from deepbots_webots.shapes import Grid, Mesh, compose, shape_of, volume_of
 from deepbots_webots.syntax import WorldError
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from deepbots_cli.frames import Frame, Quaternion
     from deepbots_webots.project import Files, World
     from deepbots_webots.shapes import Shape
@@ -266,6 +269,48 @@ def build_scene(world: World) -> Scene:
     for node in world.nodes:
         builder.add(node, _Site(None, ORIGIN, UNIT, None))
     return scene
+
+
+def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], outer: Node | None) -> None:
+    """Add nodes to a scene, in a node or at the top of the world.
+
+    Raises:
+        WorldError: The nodes have errors, or the world is too large; the scene has a part of them.
+    """
+    builder, place = _Builder(scene, scene.files, findings), outer
+    while place is not None and place not in scene.attachments and place not in scene.outer_frames:
+        place = scene.parents.get(place)
+    body, frame = None, ORIGIN
+    if place is not None:
+        body, frame = scene.attachments.get(place) or (None, scene.outer_frames[place])
+    for node in nodes:
+        if outer is not None:
+            builder._link(node, outer)
+        builder.add(node, _Site(body, frame, UNIT, None if body is None else body.robot, outer))
+    findings.require_none()
+
+
+def remove_node(scene: Scene, node: Node) -> None:
+    """Remove a node and what is in it from a scene. A part of a body leaves a mass that it states."""
+    gone = set(walk([node]))
+    around = scene.attachments.get(real(node), (None, ORIGIN))[0]
+    scene.bodies = [body for body in scene.bodies if body.node not in gone]
+    for index, body in enumerate(scene.bodies):
+        body.index = index
+        body.geometries = [geometry for geometry in body.geometries if geometry.owner not in gone]
+    scene.robots = [robot for robot in scene.robots if robot.node not in gone]
+    for robot in scene.robots:
+        robot.devices = {name: each for name, each in robot.devices.items() if each.node not in gone}
+    scene.lights = [light for light in scene.lights if light.node not in gone]
+    scene.radar_targets = [solid for solid in scene.radar_targets if solid not in gone]
+    # A Shape may be in several solids (USE).
+    scene.visuals = [
+        visual
+        for visual in scene.visuals
+        if visual.node not in gone or (visual.body is not around and visual.body in scene.bodies)
+    ]
+    for inner in gone:
+        scene.attachments.pop(inner, None)
 
 
 @dataclass(frozen=True)

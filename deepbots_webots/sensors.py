@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 class NotImplementedCallError(NotImplementedError, AttributeError):
     """A controller uses a part of Webots' interface that deepbots does not have."""
 
+    __module__ = "controller"
+
 
 MISSING: Mapping[str, str] = {
     "Robot": "batterySensorDisable batterySensorEnable batterySensorGetSamplingPeriod batterySensorGetValue"
@@ -45,17 +47,15 @@ MISSING: Mapping[str, str] = {
     " worldLoad worldReload worldSave",
     "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
     " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
-    " moveViewpoint remove restartController setVisibility enableContactPointsTracking"
+    " moveViewpoint restartController setVisibility enableContactPointsTracking"
     " disableContactPointsTracking enablePoseTracking disablePoseTracking getFromProtoDef",
-    "Field": "disableSFTracking enableSFTracking importMFNode importMFNodeFromString importSFNode"
-    " importSFNodeFromString removeMF removeSF insertMFBool insertMFColor insertMFFloat insertMFInt32"
-    " insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
+    "Field": "disableSFTracking enableSFTracking importSFNode importSFNodeFromString removeSF insertMFBool"
+    " insertMFColor insertMFFloat insertMFInt32 insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
     "TouchSensor": "getLookupTable",
     "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
-    " setExposure setFocalDistance recognitionDisable recognitionEnable getRecognitionNumberOfObjects"
-    " getRecognitionObjects getRecognitionSamplingPeriod getRecognitionSegmentationImage"
-    " getRecognitionSegmentationImageArray hasRecognitionSegmentation isRecognitionSegmentationEnabled"
+    " setExposure setFocalDistance getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
+    "  hasRecognitionSegmentation isRecognitionSegmentationEnabled"
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
     "Speaker": "getEngine getLanguage",
@@ -69,19 +69,11 @@ MISSING: Mapping[str, str] = {
 """The functions of each class that deepbots does not have."""
 
 
-MISSING_CLASSES = ("AnsiCodes", "CameraRecognitionObject", "Joystick", "Motion", "Mouse", "ImageRef")
-"""The names of the module `controller` of Webots that deepbots does not have."""
+class Unimplemented:
+    """A class of Webots that controllers may name, such as in type hints, and that has no function here."""
 
-
-def missing_name(name: str) -> object:
-    """Raise the error for a name that the module `controller` does not have.
-
-    Raises:
-        AttributeError: As always; a `NotImplementedCallError` if Webots has the name.
-    """
-    if name in MISSING_CLASSES:
-        raise NotImplementedCallError(f"controller.{name} is not implemented")
-    raise AttributeError(f"module 'controller' has no attribute '{name}'")
+    def __init__(self, *_: Any, **__: Any) -> None:
+        raise NotImplementedCallError(f"controller.{type(self).__name__} is not implemented")
 
 
 def missing_attribute(owner: type, name: str) -> AttributeError:
@@ -106,7 +98,8 @@ def returns(attribute: str) -> Callable[[Any], Any]:
 
 def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
     """Return a method that returns a list of the items of an attribute."""
-    return lambda instance: list(getattr(instance, attribute))
+    read = attrgetter(attribute)
+    return lambda instance: list(read(instance))
 
 
 def returns_number(field: str) -> Callable[[Any], float]:
@@ -115,16 +108,19 @@ def returns_number(field: str) -> Callable[[Any], float]:
 
 
 class _NamedDevices(ABCMeta):
-    """Returns a device of the robot for its name, such as `GPS("gps")`, enabled if a period follows."""
+    """Returns a device of the robot for its name, such as `GPS("gps", 32)`. As in Webots, a sensor is
+    enabled, without a period for each basic time step."""
 
-    def __call__(cls, simulation: Any, *arguments: Any) -> Any:
-        if not isinstance(simulation, str):
-            return super().__call__(simulation, *arguments)
+    def __call__(cls, *arguments: Any, **named: Any) -> Any:
+        if not (arguments and isinstance(arguments[0], str)):
+            return super().__call__(*arguments, **named)
         from deepbots_webots.supervisor import Robot
 
-        device = Robot().getDevice(simulation)
-        if device is not None and arguments:
-            device.enable(*arguments)
+        robot = Robot()
+        name, *periods = *arguments, *named.values()
+        device = robot.getDevice(name)
+        if isinstance(device, Sensor):
+            device.enable(*(periods or [robot.getBasicTimeStep()]))
         return device
 
 
@@ -195,8 +191,11 @@ class Sensor(Device, Sampled):
     """A device that measures once in each sampling period."""
 
     def enable(self, samplingPeriod: int) -> None:
-        if samplingPeriod <= 0:
-            raise ValueError(f"enable() of '{self._spec.name}': the sampling period must be positive")
+        if not 1 <= samplingPeriod < math.inf:
+            raise ValueError(
+                f"enable({samplingPeriod:g}) of '{self._spec.name}': a sampling period is at least 1 ms;"
+                f" write {self._simulation.basic_step} for each basic time step"
+            )
         super().enable(samplingPeriod)
 
 

@@ -15,23 +15,24 @@ import random
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from math import cos, hypot, inf, pi
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import integer, number, text
 from deepbots_webots.physics import Physics
+from deepbots_webots.sensors import Device as DeviceObject
 
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_webots.rendering import Pictures
     from deepbots_webots.scene import Device, Robot, Scene
-    from deepbots_webots.sensors import Device as DeviceObject
     from deepbots_webots.sensors import Sampled
 
 
@@ -88,6 +89,7 @@ class Simulation:
             WorldError: MuJoCo refuses the world.
         """
         self.scene = scene
+        self.source, self.world_path = span.source, str(Path(span.source.name).resolve())
         self.physics = Physics(scene, span)
         self.basic_step = scene.basic_step
         self.ticks = self.time = 0
@@ -111,11 +113,38 @@ class Simulation:
         self._outbox: list[Packet] = []
         self._sensors: list[Sampled] = []
         self._reset_is_due = False
-        for robot in scene.robots:
+        self.on_change: list[Callable[[], None]] = []
+        """Called after nodes came or went."""
+        self._prepare(scene.robots)
+
+    def _prepare(self, robots: Iterable[Robot]) -> None:
+        for robot in robots:
             self.custom_data[robot] = text(robot.node, "customData")
             for device in robot.devices.values():
                 if device.type == "Receiver":
                     self.inboxes[device] = Inbox(device)
+
+    def change(self, change: Callable[[], None]) -> None:
+        """Let a function change the nodes of the world; forgets saved states.
+
+        Raises:
+            WorldError: The world has an error after the change.
+        """
+        before = self.scene.robots[:]
+        self.physics.rebuild(change)
+        now = self.scene.robots
+        devices = {device for robot in now for device in robot.devices.values()}
+        self._sensors = [
+            sensor
+            for sensor in self._sensors
+            if not isinstance(sensor, DeviceObject) or sensor._spec in devices
+        ]
+        self.inboxes = {device: inbox for device, inbox in self.inboxes.items() if device in devices}
+        self._prepare(robot for robot in now if robot not in before)
+        self.states.clear()
+        self.__dict__.pop("pictures", None)
+        for call in self.on_change:
+            call()
 
     # Steps
 

@@ -89,7 +89,9 @@ class Robot:
     getData, setData = getCustomData, setCustomData
 
     def getProjectPath(self) -> str:
-        return sys.path[0]
+        return str(self._webots_simulation.scene.files.project)
+
+    getWorldPath = returns("_webots_simulation.world_path")
 
     def getDevice(self, name: str) -> Any:
         """Return a device, or None with a warning if there is none of this name."""
@@ -106,6 +108,22 @@ class Robot:
 
     def getDeviceByIndex(self, index: int) -> Any:
         return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
+
+
+class AnsiCodes:
+    """Codes that change how a terminal shows text."""
+
+    RESET, BOLD, UNDERLINE, CLEAR_SCREEN = "\033[0m", "\033[1m", "\033[4m", "\033[2J"
+    # fmt: off
+    (
+        BLACK_FOREGROUND, RED_FOREGROUND, GREEN_FOREGROUND, YELLOW_FOREGROUND, BLUE_FOREGROUND,
+        MAGENTA_FOREGROUND, CYAN_FOREGROUND, WHITE_FOREGROUND,
+    ) = (f"\033[{number}m" for number in range(30, 38))
+    (
+        BLACK_BACKGROUND, RED_BACKGROUND, GREEN_BACKGROUND, YELLOW_BACKGROUND, BLUE_BACKGROUND,
+        MAGENTA_BACKGROUND, CYAN_BACKGROUND, WHITE_BACKGROUND,
+    ) = (f"\033[{number}m" for number in range(40, 48))
+    # fmt: on
 
 
 _LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
-from deepbots_webots.scene import AXES
+from deepbots_webots.project import nodes_of_text
+from deepbots_webots.scene import AXES, add_nodes, remove_node
 from deepbots_webots.sensors import NotImplementedCallError, missing_attribute, returns
 from deepbots_webots.shapes import compose, inverse
 from deepbots_webots.syntax import Node as Written
-from deepbots_webots.syntax import Value
+from deepbots_webots.syntax import Value, WorldError
 
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Quaternion, Triple
@@ -197,6 +199,16 @@ class Node(_NodeTypes):
     def getContactPoint(self, index: int) -> list[float]:
         return self.getContactPoints()[index].point
 
+    def remove(self) -> None:
+        """Remove the node from the `children` of the node above it, or from the world."""
+        scene = self._simulation.scene
+        outer = scene.parents.get(self._node)
+        nodes = scene.nodes if outer is None else value_of(outer, "children").nodes
+        if self._node not in nodes:
+            raise NotImplementedCallError("Node.remove of a node outside of 'children' is not implemented")
+        root = scene.nodes if outer is None else None
+        Field(self._simulation, outer or self._node, "children", root).removeMF(nodes.index(self._node))
+
     # States
 
     def saveState(self, stateName: str) -> None:
@@ -225,6 +237,11 @@ class ContactPoint:
     node_id: int
     getPoint = returns("point")
     getNodeId = returns("node_id")
+
+
+def _sets_item(function: str, items_of: Callable[[Any], Sequence[Item]]) -> Callable[[Field, int, Any], None]:
+    """Return a method that sets one item of a list."""
+    return lambda field, index, value: field._set_item(function, index, items_of(value))
 
 
 class Field:
@@ -440,29 +457,56 @@ class Field:
     def setSFColor(self, values: Sequence[float]) -> None:
         self._set("setSFColor", list(map(float, values)))
 
-    def setMFBool(self, index: int, value: bool) -> None:
-        self._set_item("setMFBool", index, [bool(value)])
+    setMFBool = _sets_item("setMFBool", lambda value: [bool(value)])
+    setMFInt32 = _sets_item("setMFInt32", lambda value: [float(int(value))])
+    setMFFloat = _sets_item("setMFFloat", lambda value: [float(value)])
+    setMFString = _sets_item("setMFString", lambda value: [str(value)])
+    setMFVec2f = _sets_item("setMFVec2f", lambda values: _padded(values, 2))
+    setMFVec3f = _sets_item("setMFVec3f", lambda values: _padded(values, 3))
+    setMFColor = _sets_item("setMFColor", lambda values: _padded(values, 3))
+    setMFRotation = _sets_item("setMFRotation", lambda values: _padded(values, 4))
 
-    def setMFInt32(self, index: int, value: int) -> None:
-        self._set_item("setMFInt32", index, [float(int(value))])
+    # Nodes that come and go
 
-    def setMFFloat(self, index: int, value: float) -> None:
-        self._set_item("setMFFloat", index, [float(value)])
+    def importMFNodeFromString(self, position: int, nodeString: str) -> None:
+        """Add nodes to `children` before a position, -1 for the end. As in Webots, an error is printed."""
+        if self._name != "children" or (self._root is None and self._real.type == "Slot"):
+            raise self._unset("importMFNodeFromString")
+        scene = self._simulation.scene
+        outer = None if self._root is not None else self._real
+        items = self._items()
+        at = position if position >= 0 else len(items) + position + 1
+        nodes: list[Written] = []
+        try:
+            nodes, findings = nodes_of_text(nodeString, self._simulation.source, scene.files)
+            self._write([*items[:at], *nodes, *items[at:]])
+            self._simulation.change(lambda: add_nodes(scene, findings, nodes, outer))
+        except WorldError as error:
+            self._write(items)
+            for node in nodes:
+                remove_node(scene, node)
+            for finding in error.findings:
+                print(f"Error: Field.importMFNodeFromString: {finding.headline}", file=sys.stderr)
 
-    def setMFString(self, index: int, value: str) -> None:
-        self._set_item("setMFString", index, [str(value)])
+    def importMFNode(self, position: int, filename: str) -> None:
+        """Add the nodes of a file of the project, whose path is relative to the controller."""
+        self.importMFNodeFromString(position, self._simulation.scene.files.read(Path(filename)).text)
 
-    def setMFVec2f(self, index: int, values: Sequence[float]) -> None:
-        self._set_item("setMFVec2f", index, _padded(values, 2))
+    def removeMF(self, position: int) -> None:
+        """Remove a node from `children`."""
+        items, scene = self._items(), self._simulation.scene
+        item = items[position]
+        if self._name != "children" or not isinstance(item, Written):
+            raise self._unset("removeMF")
+        self._write([other for other in items if other is not item])
+        self._simulation.change(lambda: remove_node(scene, item))
 
-    def setMFVec3f(self, index: int, values: Sequence[float]) -> None:
-        self._set_item("setMFVec3f", index, _padded(values, 3))
-
-    def setMFColor(self, index: int, values: Sequence[float]) -> None:
-        self._set_item("setMFColor", index, _padded(values, 3))
-
-    def setMFRotation(self, index: int, values: Sequence[float]) -> None:
-        self._set_item("setMFRotation", index, _padded(values, 4))
+    def _write(self, items: list[Item]) -> None:
+        """Write the nodes of a field of the world, or of a node."""
+        if self._root is None:
+            self._keep(items)
+        else:
+            self._root[:] = [item for item in items if isinstance(item, Written)]
 
     def _set_item(self, function: str, index: int, items: Sequence[Item]) -> None:
         """Set one item of a list, which takes several numbers."""
@@ -476,11 +520,13 @@ class Field:
 
     def _set(self, function: str, items: Sequence[Item]) -> None:
         """Set the value of a field that a device reads again, or that only looks depend on."""
-        is_sensor = self._real.type in _RENEWED
+        is_device = self._real.type in _RENEWED
         is_seen = self._real.type in _LOOKS or self._name in _LABELS
-        if self._root is not None or not (is_sensor or is_seen):
+        if self._root is not None or not (is_device or is_seen):
             raise self._unset(function)
         self._keep(items)
+        if self._real.type in _MOTORS:
+            self._simulation.physics.motors.read(self._real)
         for spec, device in self._simulation.objects.items():
             if spec.node is self._real:
                 device.renew()
@@ -495,7 +541,8 @@ class Field:
 _JOINT_POSITIONS = ("position", "position2", "position3")
 """The fields of a joint with the positions of its axes."""
 _FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
-_RENEWED = frozenset({"DistanceSensor"})
+_MOTORS = frozenset({"RotationalMotor", "LinearMotor"})
+_RENEWED = _MOTORS | {"DistanceSensor"}
 """Devices that read the fields of their node again."""
 _LOOKS = frozenset(
     {

@@ -121,6 +121,9 @@ class Viewer:
         self._lines: dict[str, deque[str]] = {}
         self._build(self._title)
         simulation.held_keys = self._keys.codes
+        if self._note_change not in simulation.on_change:
+            simulation.on_change.append(self._note_change)
+        self._is_stale = False
         pace.on_pause = self._read
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -141,8 +144,13 @@ class Viewer:
 
     def __call__(self) -> None:
         """Leave the poses for the page, if it is time for a picture."""
+        if self._is_stale:
+            self.show(self._simulation, self._pace)
         if time.monotonic() >= self._due or self._pace.is_paused:
             self._read()
+
+    def _note_change(self) -> None:
+        self._is_stale = True
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

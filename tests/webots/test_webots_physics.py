@@ -503,6 +503,116 @@ def test_a_saved_state_is_loaded_again():
     assert ball.getPosition() == [0, 0, 5]
 
 
+def test_a_saved_state_has_moved_statics_and_the_commands_of_motors():
+    it = supervisor(f"{hinge('', 'RotationalMotor { maxTorque 50 }')} {STILL}", gravity=0)
+    motor, still = it.getDevice("rotational motor"), it.getFromDef("STILL")
+    motor.setPosition(1)
+    motor.setVelocity(0.5)
+    still.getField("translation").setSFVec3f([1, 2, 3])
+    still.saveState("there")
+    still.getField("translation").setSFVec3f([4, 5, 6])
+    motor.setTorque(0)
+    still.loadState("there")
+    it.step(4000)
+    angle = it.getFromDef("JOINT").getField("position").getSFFloat()
+    assert (still.getPosition(), angle, motor.getVelocity()) == ([1, 2, 3], pytest.approx(1, abs=1e-3), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "angle"),
+    [
+        pytest.param("maxVelocity", 0.5, 0.4, id="velocity"),
+        pytest.param("maxTorque", 0.0, 0.0, id="torque"),
+        # Half the acceleration times the square of 0.8 s.
+        pytest.param("acceleration", 1.0, 0.32, id="acceleration"),
+        pytest.param("maxPosition", 0.3, 0.3, id="position"),
+    ],
+)
+def test_a_supervisor_sets_the_limits_of_a_motor(field: str, value: float, angle: float):
+    it = supervisor(
+        hinge("", "DEF MOTOR RotationalMotor { minPosition -1 maxPosition 9 maxTorque 500 }"), gravity=0
+    )
+    it.getFromDef("MOTOR").getField(field).setSFFloat(value)
+    motor = it.getDevice("rotational motor")
+    motor.setPosition(2)
+    it.step(800)
+    assert it.getFromDef("JOINT").getField("position").getSFFloat() == pytest.approx(angle, abs=0.01)
+    assert it.getFromDef("MOTOR").getField(field).getSFFloat() == value
+
+
+# Nodes that come and go
+
+STILL = 'DEF STILL Solid { name "still" boundingObject Box { } }'
+FALLING = """DEF NEW Solid { translation 0 3 5 name "new" boundingObject Sphere { radius 0.1 }
+  physics Physics { density -1 mass 1 } }"""
+
+
+def children_of_the_world(it: Supervisor):
+    return it.getRoot().getField("children")
+
+
+def test_a_node_comes_into_a_world_that_goes_on():
+    it = supervisor()
+    it.step(80)
+    ball, field = it.getFromDef("BALL"), children_of_the_world(it)
+    before, count = ball.getPosition() + ball.getVelocity(), field.getCount()
+    field.importMFNodeFromString(-1, FALLING)
+    assert (field.getCount(), it.getFromDef("NEW").getPosition()) == (count + 1, [0, 3, 5])
+    assert ball.getPosition() + ball.getVelocity() == pytest.approx(before)
+    it.step(80)
+    assert it.getFromDef("NEW").getVelocity()[2] == pytest.approx(-9.81 * 0.08, rel=1e-3)
+    field.importMFNodeFromString(0, STILL)
+    assert field.getMFNode(0).getDef() == "STILL"
+
+
+def test_a_node_that_comes_into_a_body_moves_with_it():
+    it = supervisor(
+        "Robot { supervisor TRUE } " + solid("Box { }", "translation 0 0 5 linearVelocity 1 0 0"), gravity=0
+    )
+    it.getFromDef("BODY").getField("children").importMFNodeFromString(
+        -1, STILL.replace("{ name", "{ translation 0 1 0 name")
+    )
+    it.step(1000)
+    assert it.getFromDef("STILL").getPosition() == pytest.approx([1, 1, 5])
+    assert it.getFromDef("STILL").getParentNode() == it.getFromDef("BODY")
+
+
+@pytest.mark.parametrize("way", ["remove", "removeMF"])
+def test_a_node_that_goes_leaves_the_world(way: str):
+    """What stood on it falls, and what comes after it in the file keeps its place and speed."""
+    world = "Robot { supervisor TRUE } DEF TABLE Solid { boundingObject Box { size 1 1 1 } } "
+    it = supervisor(world + solid("Box { size 0.2 0.2 0.2 }", "translation 0 0 0.6"))
+    it.step(400)
+    field, body = children_of_the_world(it), it.getFromDef("BODY")
+    assert body.getPosition()[2] == pytest.approx(0.6, abs=1e-3)
+    if way == "remove":
+        it.getFromDef("TABLE").remove()
+    else:
+        field.removeMF(field.getCount() - 2)
+    it.step(400)
+    assert it.getFromDef("TABLE") is None
+    assert body.getPosition()[2] == pytest.approx(0.6 - 9.81 * 0.4**2 / 2, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Solid { ", "the end of the file in the place of"),
+        ("Sold { }", "PROTO Sold is not available"),
+        ("DEF NEW Solid { boundingObject Box { size 0 0 0 } }", "a Box whose size is not positive"),
+    ],
+)
+def test_a_node_with_an_error_does_not_come_in(capsys, text: str, message: str):
+    it = supervisor()
+    field = children_of_the_world(it)
+    count = field.getCount()
+    field.importMFNodeFromString(-1, text)
+    error = capsys.readouterr().err
+    assert error.startswith("Error: Field.importMFNodeFromString: ")
+    assert (message in error, field.getCount(), it.getFromDef("NEW")) == (True, count, None), error
+    it.step(80)
+
+
 def test_physics_are_stopped():
     it = supervisor()
     it.step(80)
@@ -515,10 +625,13 @@ def test_physics_are_stopped():
     [
         (lambda it: it.worldReload, "Supervisor.worldReload is not implemented"),
         (lambda it: it.wwiSendText, "Robot.wwiSendText is not implemented"),
-        (lambda it: it.getFromDef("BALL").remove, "Node.remove is not implemented"),
         (
-            lambda it: it.getSelf().getField("children").importMFNodeFromString,
-            "Field.importMFNodeFromString is not implemented",
+            lambda it: it.getSelf().getField("children").importSFNodeFromString,
+            "Field.importSFNodeFromString is not implemented",
+        ),
+        (
+            lambda it: it.getFromDef("BALL").getField("physics").getSFNode().remove(),
+            "Node.remove of a node outside of 'children' is not implemented",
         ),
         (
             lambda it: it.getFromDef("BALL").getField("contactMaterial").setSFString("x"),

@@ -137,15 +137,67 @@ def test_a_controller_in_another_language_is_named_and_not_run(project: Project)
     assert "4 steps, 0.128 s of simulated time" in ran.err
 
 
-def test_a_controller_that_is_started_by_hand_is_the_one_that_no_robot_names(project: Project):
-    project.write("worlds/w.wbt", HEADER + WORLD.replace('controller "cart"', 'controller "<extern>"'))
-    project.controller("cart", CART)
+EXTERN = WORLD.replace('controller "cart"', 'controller "<extern>"')
+
+
+@pytest.mark.parametrize(
+    ("files", "option", "found"),
+    [
+        pytest.param(["controllers/any/any.py"], "", "controllers/any/any.py", id="the only one"),
+        pytest.param(["controllers/any/main.py"], "", "controllers/any/main.py", id="with another name"),
+        pytest.param(
+            ["controllers/a/a.py", "controllers/cart/cart.py"], "", "controllers/cart/cart.py", id="its name"
+        ),
+        pytest.param(["controllers/a/a.py", "b/c.py"], "cart=b/c.py", "c.py", id="chosen"),
+        pytest.param(["controllers/a/a.py", "controllers/b/b.py"], "", "", id="one of several"),
+    ],
+)
+def test_a_controller_that_is_started_by_hand_is_found(
+    project: Project, monkeypatch: Any, files: list[str], option: str, found: str
+):
+    monkeypatch.chdir(project.folder)
+    project.write("worlds/w.wbt", HEADER + EXTERN)
     project.controller("boss", BOSS)
+    for name in files:
+        project.write(name, CART)
+    ran = project.run(*(["--controller", option] if option else []), allow=False)
+    row = next(line.split() for line in ran.out.splitlines() if line.split()[0] == "cart")
+    assert row[2:4] == ([found.rpartition("/")[2], "yes"] if found else ["<extern>", "no"])
+    words = f"'<extern>' of 'cart' is {found}" if found else "name it: --controller cart=FILE"
+    assert option or words in ran.err
+
+
+def test_a_handler_of_a_signal_warns_and_the_controller_goes_on(project: Project):
+    project.controller("cart", CART)
+    handler = "import signal, sys\nsignal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
+    project.controller("boss", handler + textwrap.dedent(BOSS))
     ran = project.run()
-    assert (
-        "the controller '<extern>' of 'cart' is controllers/cart, the only one that no robot names" in ran.err
-    )
+    assert "[boss] Warning: signal.signal(SIGINT, ...) has no effect" in ran.err
     assert ran.out.splitlines()[-1] == "[cart] the end"
+
+
+def test_the_controller_of_a_robot_comes_and_goes_with_it(project: Project):
+    project.controller(
+        "late", "from controller import Robot\nrobot = Robot()\nwhile robot.step(32) != -1: print('here')"
+    )
+    project.write(
+        "controllers/boss/late.wbo", '#VRML_OBJ R2023b utf8\nDEF LATE Robot { name "late" controller "late" }'
+    )
+    project.controller("cart", CART)
+    project.controller(
+        "boss",
+        """
+        from controller import Supervisor
+        boss = Supervisor()
+        boss.step(32)
+        boss.getRoot().getField("children").importMFNode(-1, "late.wbo")
+        for _ in range(3): boss.step(32)
+        boss.getFromDef("LATE").remove()
+        for _ in range(3): boss.step(32)
+        """,
+    )
+    ran = project.run()
+    assert ran.out.splitlines() == ["[late] here"] * 2 + ["[cart] the end"]
 
 
 def test_two_supervisors_run_until_both_end(project: Project):
@@ -236,11 +288,20 @@ QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\n
         ),
         pytest.param(
             CART,
-            "from controller import Mouse",
+            "from controller import Mouse\nprint('imported', flush=True)\nMouse()",
+            1,
+            "[boss] imported",
+            "NotImplementedCallError: controller.Mouse is not implemented",
+            id="a class that is missing",
+        ),
+        pytest.param(
+            CART,
+            "import telepathy.waves",
             1,
             "",
-            "ImportError: cannot import name 'Mouse' from 'controller'",
-            id="a class that is missing",
+            "No module named 'telepathy'; install the package of 'telepathy', or name an environment with it by"
+            " --python",
+            id="a package that is missing",
         ),
         pytest.param(f"{ONE_STEP}raise SystemExit(5)", BOSS, 5, "[boss] 3 []", "", id="an exit code is kept"),
         pytest.param(
@@ -261,7 +322,14 @@ def test_the_end_of_a_controller_is_reported(
     ran = project.run(code=code)
     assert line in ran.out
     assert error in ran.err
-    assert "runner.py" not in ran.err
+    assert "deepbots_cli" not in ran.err
+
+
+def test_a_project_for_deepbots_before_1_0_says_so(project: Project):
+    project.write("controllers/boss/deepbots/__init__.py", "")
+    project.controller("boss", "from deepbots.robots.controllers.robot_emitter_receiver_csv import Robot")
+    error = project.run(code=1).err
+    assert "the project is for deepbots before 1.0, such as the package deepbots==0.1.2" in error
 
 
 def test_a_controller_that_ignores_the_end_is_ended(project: Project):
@@ -281,6 +349,9 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
         (["--protos", "nowhere"], "--protos nowhere: there is no such folder"),
         (["--python", "nowhere"], "--python nowhere does not run"),
         (["--steps", "0"], "too small"),
+        (["--controller", "cart=nowhere.py"], "--controller cart=nowhere.py: there is no such file"),
+        (["--controller", "cart"], "--controller cart: write ROBOT=FILE"),
+        (["--controller", f"car={__file__}"], "--controller car=...: the robots of the world are boss, cart"),
     ],
 )
 def test_wrong_options_are_refused(project: Project, options: list[str], words: str):
@@ -351,7 +422,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         """
         import os
         import controller
-        from controller import Camera, Device, Emitter, Field, Keyboard, Motor, Node, Receiver, Supervisor
+        from controller import AnsiCodes, Camera, Device, Emitter, Field, Keyboard, Motor, Node, Receiver, Supervisor
 
         class Boss(Supervisor):
             def step(self, period=32):
@@ -364,7 +435,9 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         boss.step()
         print(cart.getPosition(), place.getSFVec3f(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
         print(isinstance(boss.getEmitter("emitter"), Emitter), isinstance(boss.getDevice("emitter"), Device))
-        print(Emitter("emitter") is boss.getDevice("emitter"), Receiver("receiver", 64).getSamplingPeriod(), hasattr(controller, "Motion"))
+        print(Emitter("emitter") is boss.getDevice("emitter"), Receiver("receiver", 64).getSamplingPeriod(), Receiver("receiver").getSamplingPeriod())
+        print(hasattr(controller, "Motion"), getattr(controller, "Motn", None), AnsiCodes.RED_FOREGROUND == chr(27) + "[31m")
+        print([os.path.basename(path) for path in (boss.getWorldPath(), boss.getProjectPath())])
         print(cart.getPose(cart)[3], Field.SF_FLOAT, Motor.LINEAR, boss.getDevice("nothing"), boss.keyboard.getKey())
         print(Camera.imageGetRed(bytes([1, 2, 3, 4]), 1, 0, 0), Keyboard().getSamplingPeriod(), os.path.basename(os.getcwd()))
         for wrong in ("boss.setMode", "boss.getDevice('emitter').sned", "place.setSFFloat(1)"):
@@ -378,7 +451,9 @@ def test_a_controller_uses_the_whole_interface(project: Project):
     assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
         "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
         "True True",
-        "True 64 False",
+        "True 64 32",
+        "True None True",
+        f"['w.wbt', '{project.folder.name}']",
         "0.0 3 1 None -1",
         "3 0 boss",
         "NotImplementedCallError Robot.setMode is not implemented",

@@ -6,16 +6,30 @@ from deepbots_webots.devices import (
     Connector,
     Display,
     Emitter,
+    Joystick,
     Microphone,
+    Motion,
     Motor,
+    Mouse,
+    MouseState,
     Pen,
     PositionSensor,
+    Proto,
+    Radio,
     Receiver,
     Skin,
     Speaker,
     VacuumGripper,
 )
-from deepbots_webots.imaging import Camera, Lidar, LidarPoint, Radar, RadarTarget, RangeFinder
+from deepbots_webots.imaging import (
+    Camera,
+    CameraRecognitionObject,
+    Lidar,
+    LidarPoint,
+    Radar,
+    RadarTarget,
+    RangeFinder,
+)
 from deepbots_webots.sensors import (
     GPS,
     Accelerometer,
@@ -27,9 +41,8 @@ from deepbots_webots.sensors import (
     InertialUnit,
     LightSensor,
     TouchSensor,
-    missing_name,
 )
-from deepbots_webots.supervisor import Keyboard, Robot, Supervisor
+from deepbots_webots.supervisor import AnsiCodes, Keyboard, Robot, Supervisor
 from deepbots_webots.tree import ContactPoint, Field, Node
 
 __all__ = [
@@ -37,8 +50,10 @@ __all__ = [
     "LED",
     "Accelerometer",
     "Altimeter",
+    "AnsiCodes",
     "Brake",
     "Camera",
+    "CameraRecognitionObject",
     "Compass",
     "Connector",
     "ContactPoint",
@@ -49,17 +64,23 @@ __all__ = [
     "Field",
     "Gyro",
     "InertialUnit",
+    "Joystick",
     "Keyboard",
     "Lidar",
     "LidarPoint",
     "LightSensor",
     "Microphone",
+    "Motion",
     "Motor",
+    "Mouse",
+    "MouseState",
     "Node",
     "Pen",
     "PositionSensor",
+    "Proto",
     "Radar",
     "RadarTarget",
+    "Radio",
     "RangeFinder",
     "Receiver",
     "Robot",
@@ -69,5 +90,3 @@ __all__ = [
     "TouchSensor",
     "VacuumGripper",
 ]
-
-__getattr__ = missing_name
