@@ -61,6 +61,7 @@ check: dev ## everything that a change must pass
 	$(MAKE) --no-print-directory -j 2 types types-on-windows
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.sizes --budget
+	$(BIN)/python -m tools.benchmarks.lint_start
 	$(PYTEST) -m "not slow and not editors and not browser"
 
 # With a cache of its own, neither discards what the other one has cached.

@@ -63,6 +63,13 @@ _LATEX = str.maketrans(
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
+        # Without T1 fonts, these print other marks.
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        "|": r"\textbar{}",
+        # At the beginning of a row, these are arguments of the command before.
+        "[": "{[}",
+        "*": "{*}",
         **{mark: f"\\{mark}" for mark in "&%$#_{}"},
     }
 )

@@ -332,7 +332,7 @@ class RemoteShards:
                     lost = {call: other for call, (other, home) in waiting.items() if home == worker}
                     first = next(iter(lost.values()))
                     losses[first] += 1
-                    self._forget(worker)
+                    self._forget(worker, str(error))
                     if losses[first] == MAX_LOSSES:
                         raise self._too_many_losses(first, order, worker) from error
                     self._find_homes(balance=False)  # the other shards are at work
@@ -429,10 +429,10 @@ class RemoteShards:
             waiting[self._pool.ask(worker, "unmet", requirements, self._run.digest)] = (number, worker)
         return waiting
 
-    def _forget(self, lost: int) -> None:
+    def _forget(self, lost: int, reason: str) -> None:
         """Forget a worker that is lost, and the homes of its shards."""
         if self._workers.pop(lost, None) is not None:
-            self._note(f"worker {lost} was lost; its shards continue on another worker")
+            self._note(f"worker {lost} was lost ({reason}); its shards continue on another worker")
         self._homes = [None if home == lost else home for home in self._homes]
 
     def _too_many_losses(self, shard: int, order: Order | EvaluationOrder | None, worker: int) -> RunError:

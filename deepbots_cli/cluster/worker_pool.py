@@ -172,7 +172,12 @@ def _unpickled(stream: IO[bytes]) -> Any:
 
 
 def _loss(code: int) -> str:
-    return f"its process was ended by {ending(code)}" if code < 0 else f"its process ended with code {code}"
+    reason = ", as the system does when memory runs out" if ending(code) == "SIGKILL" else ""
+    return (
+        f"its process was ended by {ending(code)}{reason}"
+        if code < 0
+        else f"its process ended with code {code}"
+    )
 
 
 class LocalProcesses:

@@ -318,9 +318,11 @@ def _refusal(
     name, acts_by = train.algorithm, kind.acts_by
     intervals = [part for part in action if isinstance(part, ActionRange)]
     if intervals and len(intervals) < len(action):
+        choice = next(part.name for part in action if isinstance(part, Choices))
         return (
             "no algorithm supports choices and ranges in the same agent",
-            "define every action with `choices`, or every action as a range",
+            f"make every action a range: write `{choice}: -1 .. 1` instead of its choices, and where it is"
+            f" used, for example `1 if {choice} > 0 else 0`",
         )
     if acts_by == {"choice"} and (intervals or len(action) > 1):
         return f"{name} supports only a single discrete action", "define one action with `choices`"

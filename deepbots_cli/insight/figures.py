@@ -18,7 +18,6 @@ from deepbots_cli.expressions.dimensions import ONE, Unit
 from deepbots_cli.files import atomic_write, check_folder
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.learning.runs.evaluations import DrawnEffects
-from deepbots_cli.learning.runs.statistics import Statistic
 from deepbots_cli.program import Member
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.kinematics import bounds_of_shape
@@ -29,17 +28,15 @@ from deepbots_cli.view.frames import COLORS, LinkName
 from deepbots_cli.view.pictures import Moving, has_moved
 from deepbots_cli.view.plots import (
     THEMES,
-    by_task,
     ending_colors,
     plot_agents,
     plot_endings,
     plot_lessons,
     plot_scores,
-    seed_band,
     style_panel,
     term_styles,
 )
-from deepbots_cli.view.training_logs import Curve, Measure, TrainingLog
+from deepbots_cli.view.training_logs import Measure, TrainingLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -466,29 +463,3 @@ def svg_uri(figure: Any) -> str:
 def data_uri(kind: str, data: bytes) -> str:
     """Return data as a URI that contains it; `kind` is its media type."""
     return f"data:{kind};base64,{base64.b64encode(data).decode()}"
-
-
-def curve_rows(logs: Sequence[TrainingLog], statistic: Statistic | None = None) -> list[dict[str, object]]:
-    """Return the points of the lines of `plot`, and the evaluations of each run."""
-    rows: list[dict[str, object]] = []
-
-    def add(log: TrainingLog, run: str, seeds: int, curve: str, points: Iterable[Sequence[float]]) -> None:
-        names = "timesteps", "value", "low", "high"
-        row = {"scenario": log.name, "agent": log.agent, "run": run, "seeds": seeds, "curve": curve}
-        rows.extend({**row, **dict(zip(names, point, strict=False))} for point in points)
-
-    for members in by_task(logs).values():
-        of_seeds: dict[str, list[Curve]] = {}
-        for log in members:
-            measures = {"return": log.returns, "success_rate": log.successes}
-            terms = {f"reward.{name}": curve for name, curve in log.terms.items()}
-            endings = {f"ended_by.{name}": curve for name, curve in log.endings.items()}
-            for name, curve in {**measures, **terms, **endings}.items():
-                of_seeds.setdefault(name, []).extend([] if curve is None else [curve])
-            evaluated = {"return": log.evaluations, "success_rate": log.evaluated_successes}
-            for name, curve in evaluated.items():
-                add(log, str(log.path), 1, f"evaluation.{name}", zip(*(curve or ()), strict=True))
-        for name, curves in of_seeds.items():
-            band = seed_band(curves, statistic if name in measures else None)
-            add(members[0], "", len(curves), name, zip(*(band or ()), strict=True))
-    return rows

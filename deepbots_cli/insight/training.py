@@ -50,6 +50,7 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Episode, Start, steps
 from deepbots_cli.rollout.drivers import action_from_values, constant_driver, named_driver, random_driver
 from deepbots_cli.rollout.episode import own_episode
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.training_logs import logs_of, scalars_of
@@ -379,7 +380,10 @@ class TrainingEvidence:
     def length(self, planned: int = 0) -> dict[str, Any]:
         """Return the length of the training as numbers of a cause, and the way to continue it: to the
         `planned` steps if they are more than 1.1 times as many, else further."""
-        record, command = self.run.record, f"deepbots resume {quote(display_path(self.run.path))}"
+        record, path = self.run.record, self.run.path
+        # A single seed with more steps would no longer be one of its group.
+        folder = path.parent if folder_kind(path.parent) is SourceKind.GROUP else path
+        command = f"deepbots resume {quote(display_path(folder))}"
         more = planned if planned > 1.1 * self.steps else max(self.planned, longer_goal(self.steps))
         # An interrupted training goes on to its own total.
         if record.state(self.run.path) != "interrupted" or more != record.total_timesteps:

@@ -12,7 +12,7 @@ import re
 import shutil
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
@@ -57,7 +57,7 @@ from deepbots_cli.learning.teaching import PolicyTeacher, copy_teacher, demonstr
 from deepbots_cli.learning.training_loop import Iteration, OnIteration, TrainingProcess, create_learner
 from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity
-from deepbots_cli.program.task import Teacher, Training
+from deepbots_cli.program.task import Schedule, Teacher, Training
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import CollectTimes, LocalCollector
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -378,16 +378,33 @@ def resume(
         }
         resumed.record = record.model_copy(update=changes)  # written once the checkpoint is restored
         build = build or supervisor_factory(record.engine, permissions=permissions)
+        follower = reporter(progress)
+        for text in _stretched_schedules(training, record.total_timesteps, steps):
+            follower.note(text)
         return TrainingProcess(
             resumed,
             training,
             checkpoints,
             build,
-            reporter(progress),
+            follower,
             executor,
             before=record,
             on_evaluation=on_evaluation,
         ).train()
+
+
+def _stretched_schedules(training: Training, before: int, steps: int) -> Iterator[str]:
+    """Yield a sentence for each schedule that a new total, instead of the one `before`, stretches or shortens."""
+    total = training.total_timesteps
+    schedules: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
+    if training.action_noise is not None:
+        schedules["action_noise.sigma"] = training.action_noise.sigma
+    for name, value in schedules.items():
+        if total != before and isinstance(value, Schedule) and value.start != value.end:
+            yield (
+                f"`{name}: {value.text}` now ends at {total:,} steps instead of {before:,}; at {steps:,} steps,"
+                f" it changes from {value.at(steps / before):.3g} to {value.at(steps / total):.3g}"
+            )
 
 
 def training_of(program: Program, total_timesteps: int | None, callbacks: Sequence[str] = ()) -> Training:

@@ -218,6 +218,12 @@ class Source:
                     f"; train it first with `deepbots train {quote(name)}`, or name one of its runs,"
                     " which `deepbots runs` lists"
                 )
+            elif opened.kind is SourceKind.RUN and SourceKind.SCENARIO in kinds:
+                name = quote(opened.name)
+                hint = (
+                    f"; its scenario is {opened.scenario}; `deepbots resume {name}` continues its training, and"
+                    f" `deepbots repeat {name}` trains it again"
+                )
             elif SourceKind.RUN in kinds and opened.kind is SourceKind.CHECKPOINT:
                 hint = f"; name the run: {opened.path}"
             raise error(f"{opened.name} is {description}, and not {expected}{hint}")

@@ -7,7 +7,7 @@ import logging
 import math
 import textwrap
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -305,6 +305,32 @@ def by_task(logs: Sequence[TrainingLog]) -> dict[tuple[str, str], list[TrainingL
     for log in logs:
         groups.setdefault((log.group, log.agent), []).append(log)
     return groups
+
+
+def curve_rows(logs: Sequence[TrainingLog], statistic: Statistic | None = None) -> list[dict[str, object]]:
+    """Return the points of the lines of `plot`, and the evaluations of each run."""
+    rows: list[dict[str, object]] = []
+
+    def add(log: TrainingLog, run: str, seeds: int, curve: str, points: Iterable[Sequence[float]]) -> None:
+        names = "timesteps", "value", "low", "high"
+        row = {"scenario": log.name, "agent": log.agent, "run": run, "seeds": seeds, "curve": curve}
+        rows.extend({**row, **dict(zip(names, point, strict=False))} for point in points)
+
+    for members in by_task(logs).values():
+        of_seeds: dict[str, list[Curve]] = {}
+        for log in members:
+            measures = {"return": log.returns, "success_rate": log.successes}
+            terms = {f"reward.{name}": curve for name, curve in log.terms.items()}
+            endings = {f"ended_by.{name}": curve for name, curve in log.endings.items()}
+            for name, curve in {**measures, **terms, **endings}.items():
+                of_seeds.setdefault(name, []).extend([] if curve is None else [curve])
+            evaluated = {"return": log.evaluations, "success_rate": log.evaluated_successes}
+            for name, curve in evaluated.items():
+                add(log, str(log.path), 1, f"evaluation.{name}", zip(*(curve or ()), strict=True))
+        for name, curves in of_seeds.items():
+            band = seed_band(curves, statistic if name in measures else None)
+            add(members[0], "", len(curves), name, zip(*(band or ()), strict=True))
+    return rows
 
 
 def _plot_evaluations(

@@ -31,7 +31,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands, _command
 from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, TAKES, bench
-from deepbots_cli.cli.tables import row_as_lines, table
+from deepbots_cli.cli.tables import row_as_lines, table, write_tables
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
 from deepbots_cli.engine_kinds import ENGINES
@@ -198,7 +198,7 @@ def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, n
             "everything works except what needs a missing extra:"
             " simulation, training, MaskablePPO, RecurrentPPO and TQC,"
             " several agents as an environment of PettingZoo, self-play, the page of view and play, videos of"
-            " Gymnasium, the studio, policies as ONNX, --cluster, searches by tune",
+            " Gymnasium, the studio, policies as ONNX, --cluster, projects of Webots, searches by tune",
         ),
     ],
 )
@@ -592,6 +592,25 @@ def test_rows_are_columns_of_text_and_numbers():
     assert [row_as_lines({"joints": joints}, indent="") for joints in (long, long[:5])] == [
         "joints  j0, j1, j2, j3, ... 12 in all",
         "joints  j0, j1, j2, j3, j4",
+    ]
+
+
+def test_a_table_of_latex_prints_the_names_and_numbers_of_the_rows(tmp_path):
+    rows = [
+        {"run": "a_b & 50% {x}", "solved": "[0.9 .. 1]", "return": 1.5, "interval": "1 .. 2", "empty": None},
+        {"run": r"\input|<*>~^#$", "solved": "", "return": None, "interval": None, "empty": ""},
+    ]
+    write_tables(rows, None, tmp_path / "table.tex")
+    assert (tmp_path / "table.tex").read_text(encoding="utf-8").splitlines() == [
+        r"\begin{tabular}{llrl}",
+        r"\toprule",
+        r"run & solved & return & interval \\",
+        r"\midrule",
+        r"a\_b \& 50\% \{x\} & {[}0.9 .. 1] & 1.5 & 1 .. 2 \\",
+        r"\textbackslash{}input\textbar{}\textless{}{*}\textgreater{}\textasciitilde{}\textasciicircum{}\#\$"
+        r" & - & - & - \\",
+        r"\bottomrule",
+        r"\end{tabular}",
     ]
 
 

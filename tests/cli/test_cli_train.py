@@ -445,7 +445,8 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
         == "no run in runs matches these options; leave them out to list all runs\n"
     )
     group = "runs/cartpole-seeds-1"
-    deepbots("eval", group, "--episodes", "2", "--min-return", "1000", code=1)
+    deepbots("eval", group, "--episodes", "2", "--min-return", "1000", "--latex", "group.tex", code=1)
+    assert "\n2 seeds " in Path("group.tex").read_text()
     if find_spec("pybullet"):
         report = json.loads(
             deepbots("eval", group, "--episodes", "2", "--engine", "pybullet,mujoco", "--json").out

@@ -20,12 +20,14 @@ import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from functools import cache
 from importlib import import_module, util
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -56,6 +58,7 @@ from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Symbol
+from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.lint import static_findings as run_rules
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.base import Section, section_fields, shape_at, walk_sections
@@ -332,6 +335,59 @@ def test_the_package_for_sbx_is_loaded_without_jax_and_stores_weights_as_tensors
         )
         for d in (True, False)
     )
+
+
+class _Calls:
+    """Stands in for the two libraries, which the tests do not install: keeps the calls by name, and has their
+    names of results."""
+
+    def __init__(self) -> None:
+        self.info = SimpleNamespace(run_id="7")
+        self.experiment_id = "1"
+        self.calls: dict[str, list[tuple[Any, ...]]] = {}
+
+    def __getattr__(self, name: str) -> Any:
+        def call(*arguments: Any, **options: Any) -> _Calls:
+            self.calls.setdefault(name, []).append((*arguments, options))
+            return self
+
+        return call
+
+
+@pytest.mark.parametrize(
+    ("library", "logged"),
+    [
+        ("wandb", {"log": [({"reward/alive": 2.0, "time/fps": 3.0}, {"step": 5})], "finish": [({},)]}),
+        (
+            "mlflow",
+            {
+                "log_metric": [("7", "reward/alive", 2.0, {"step": 5}), ("7", "time/fps", 3.0, {"step": 5})],
+                "set_terminated": [("7", {})],
+            },
+        ),
+    ],
+)
+def test_a_tracker_gets_every_scalar_and_the_facts_of_the_run(
+    library: str, logged: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sb3 = pytest.importorskip("stable_baselines3.common.logger")
+    monkeypatch.syspath_prepend(str(FOLDER / "trackers"))
+    recorder = _Calls()
+    monkeypatch.setitem(sys.modules, library, recorder)
+    entries = tomllib.loads((FOLDER / "trackers" / "pyproject.toml").read_text())["project"]["entry-points"]
+    module, _, name = entries["deepbots.loggers"][library].partition(":")
+    facts = {"scenario": "CartPole", "seed": 3, "engine": "mujoco", "digest": "0" * 64, "total_timesteps": 9}
+    assert facts.keys() <= RunRecord.model_fields.keys()
+    record = {**facts, "started": "2026-11-30T03:18:18+00:00"}
+    (tmp_path / "run.json").write_text(json.dumps(record), encoding="utf-8")
+    logger = sb3.Logger(None, [getattr(import_module(module), name)(tmp_path)])
+    logger.record("reward/alive", np.float32(2.0))
+    logger.record("time/fps", 3)
+    logger.record("stage", "first")
+    logger.dump(5)
+    logger.close()
+    assert {key: calls for key, calls in recorder.calls.items() if key in logged} == logged
+    assert all(repr(value) in repr(recorder.calls) for value in facts.values())
 
 
 class _Still(gym.Env[Any, Any]):

@@ -18,7 +18,9 @@ pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 import onnxruntime
 import torch
+import yaml
 
+import deepbots_robot
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
@@ -174,6 +176,24 @@ def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
         " `velocity(cart.tip)` (x)." in text
     )
     assert f"mean return {description['evaluation']['mean_return']:.4g} (95 % interval " in text
+
+
+def test_a_folder_for_a_model_hub_has_a_card_the_model_a_video_and_the_bundle(run, tmp_path, monkeypatch):
+    folder = tmp_path / "hub"
+    assert main(["export", str(run), "--to", "hub", "-o", str(folder)]) == 0
+    _, metadata, card = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
+    known = yaml.safe_load(metadata)
+    assert known["library_name"] == "stable-baselines3"
+    (result,) = known["model-index"][0]["results"]
+    description = json.loads((folder / "bundle" / "bundle.json").read_text())
+    assert result["metrics"][0]["value"] == description["evaluation"]["mean_return"]
+    assert (folder / "replay.mp4").read_bytes()[4:8] == b"ftyp"
+    deepbots_robot.load(folder / "bundle")
+    monkeypatch.chdir(folder)
+    (program,) = re.findall(r"```python\n(.*?)```", card, re.DOTALL)
+    names: dict[str, object] = {}
+    exec(program, names)
+    assert names["action"] in (0, 1)
 
 
 def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):

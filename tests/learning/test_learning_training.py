@@ -55,7 +55,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.logs import TrainingLog
 from deepbots_cli.learning.training import training_of
-from deepbots_cli.program.task import Network, Solved, Training
+from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from tests.commands import Deepbots
 from tests.few import few
 from tests.learning.interruption import At
@@ -67,7 +67,7 @@ def short(tmp_path: Path, **settings: Any) -> TrainingResult:
         "PPO",
         settings.pop("total", 200),
         environments=2,
-        hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1),
+        hyperparameters=hyper(n_steps=32, batch_size=32, n_epochs=1, **settings.pop("hyper", {})),
     )
     return train(
         stand_in.compiled(training=training, solved=settings.pop("solved", None)), runs=tmp_path, **settings
@@ -154,6 +154,17 @@ def test_train_and_resume_take_paths_as_text(tmp_path: Path) -> None:
     assert first.run.parent == tmp_path / "many"
     assert short(tmp_path, run=str(tmp_path / "one"), build=stand_in.build).run == tmp_path / "one"
     assert resume(str(first.run), total_timesteps=first.steps + 1, build=stand_in.build).run == first.run
+
+
+def test_a_new_total_says_what_becomes_of_the_learning_rate(tmp_path: Path) -> None:
+    first = short(tmp_path, hyper={"learning_rate": Schedule(1e-3, 0.0)}, build=stand_in.build)
+    progress = At(10**9)
+    longer = resume(first.run, total_timesteps=2 * first.steps, progress=progress, build=stand_in.build)
+    assert longer.status == "finished"
+    assert progress.notes == [
+        "`learning_rate: 0.001 -> 0` now ends at 512 steps instead of 200; at 256 steps, it changes from 0 to"
+        " 0.0005"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -464,9 +475,23 @@ def test_the_check_of_an_algorithm_that_does_not_exist_names_those_that_do() -> 
 def test_worlds_beyond_the_memory_are_refused_before_they_are_built() -> None:
     algorithms.check_memory(8, memory=10**9)
     with pytest.raises(
-        UsageError, match=r"1024 environments need about 29\.7 GB of memory, and this machine has 8\.0 GB"
+        UsageError,
+        match=r"1024 environments need about 29\.7 GB of memory, and this machine or container has"
+        r" 8\.0 GB",
     ):
         algorithms.check_memory(1024, memory=8 * 10**9)
+
+
+def test_the_memory_limit_of_a_container_is_its_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in (("none", "max\n"), ("some", "500000000\n")):
+        (tmp_path / name).write_text(text)
+    files = tmp_path / "missing", tmp_path / "none", tmp_path / "some"
+    monkeypatch.setattr(algorithms, "CONTAINER_LIMITS", files)
+    algorithms.check_memory(8)
+    with pytest.raises(UsageError, match=r"or container has 0\.5 GB"):
+        algorithms.check_memory(32)
 
 
 def test_a_training_interrupted_during_set_up_goes_on_from_the_beginning(tmp_path: Path) -> None:

@@ -281,9 +281,10 @@ def test_all_wheels_have_the_version_of_deepbots_and_their_extras_require_this_v
     assert versions == dict.fromkeys(clean.PROJECTS, deepbots_cli.__version__)
     by_extra = required(wheels["deepbots-cli"])
     for project in NEEDS:
-        requirement = {f"{project}=={deepbots_cli.__version__}"}
-        assert by_extra[project.removeprefix("deepbots-")] == requirement
-    assert required(wheels["deepbots-webots"]) == {"": {f"deepbots-cli[sim]=={deepbots_cli.__version__}"}}
+        assert f"{project}=={deepbots_cli.__version__}" in by_extra[project.removeprefix("deepbots-")]
+    # With `deepbots-cli[sim]`, pip refuses to update an environment that has deepbots-cli.
+    assert f"deepbots-cli=={deepbots_cli.__version__}" in required(wheels["deepbots-webots"])[""]
+    assert by_extra["sim"] <= by_extra["webots"]
 
 
 def test_a_robot_installs_numpy_and_onnxruntime_but_nothing_that_commands_training_or_simulation_need(

@@ -210,7 +210,8 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
                                                                         " scenario; `deepbots inspect {0}`"),
         ("noise.bin", RUN[:7], "{} is a file, and not a run"),
         ("cart.yaml", RUN[:7], "{} is a scenario, and not a run"),
-        ("broken", SCENARIO, "{} is a run, and not a scenario"),
+        ("broken", SCENARIO, "{0} is a run, and not a scenario; its scenario is {0}/resolved.yaml;"
+                             " `deepbots resume {0}` continues its training"),
         ("broken", [*RUN[:7], *EITHER, *RENDERED], "{}/run.json is damaged: it is not valid JSON"),
         ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import subprocess
@@ -24,7 +25,6 @@ from PIL import Image
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
-from deepbots_cli.insight.figures import curve_rows
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
@@ -167,7 +167,7 @@ def test_a_statistic_over_seeds_has_a_bootstrap_interval_in_the_plot_and_in_the_
     for seed in range(8):
         _run(tmp_path / f"a{seed}", "a", [seed, seed, seed, 100.0 if seed == 7 else seed])
     logs = training_logs.read_logs([tmp_path], window=1)
-    rows = [row for row in curve_rows(logs, Statistic.iqm) if row["curve"] == "return"]
+    rows = [row for row in plots.curve_rows(logs, Statistic.iqm) if row["curve"] == "return"]
     assert rows[-1]["value"] == pytest.approx(3.5)
     assert 0 < rows[-1]["low"] < 3.5 < rows[-1]["high"] < 50
     line = plots.plot(logs, statistic=Statistic.iqm).axes[0].lines[0]
@@ -442,6 +442,12 @@ def test_files_of_other_programs_are_plotted(tmp_path, deepbots):
         out = tmp_path / f"plot{suffix}"
         deepbots("plot", folder, "--dark", "--output", out)
         assert content in out.read_bytes()
+    deepbots("plot", folder, "--output", tmp_path / "plot.csv")
+    with (tmp_path / "plot.csv").open(newline="") as file:
+        points = [
+            (row["curve"], float(row["timesteps"]), float(row["value"])) for row in csv.DictReader(file)
+        ]
+    assert (points[0], points[-1]) == (("return", 0.0, 1.0), ("return", 100.0, 3.0))
     assert (
         "must end in .png, .svg, .pdf or .csv"
         in deepbots("plot", folder, "--output", tmp_path / "plot.gif", code=2).err

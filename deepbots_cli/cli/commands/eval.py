@@ -36,7 +36,7 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.tables import table, write_tables
+from deepbots_cli.cli.tables import Row, table, write_tables
 from deepbots_cli.diagnostics.render import Case, xml_report
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
@@ -282,15 +282,22 @@ class _Request:
             for name in self.engines
         ]
 
-    def write(self, results: Sequence[EvaluationResult]) -> None:
-        """Write each episode as CSV, and each evaluation for LaTeX."""
+    def write(self, results: Sequence[EvaluationResult], groups: Sequence[GroupResult] = ()) -> None:
+        """Write each episode as CSV, and each evaluation for LaTeX, with the statistics over the seeds of groups."""
         if self.csv is not None:
             records.write_csv(self.csv, results)
         named = (
             (" ".join(filter(None, (result.run.name, result.engine, records.case_label(result)))), result)
             for result in results
         )
-        write_tables(records.evaluation_rows("run", named), None, self.latex)
+        over_seeds: list[Row] = [
+            {
+                "run": f"{counted(len(group.evaluations), 'seed')} {group.evaluations[0].engine}",
+                **records.scores(group),
+            }
+            for group in groups
+        ]
+        write_tables([*records.evaluation_rows("run", named), *over_seeds], None, self.latex)
 
 
 def _evaluate_run(
@@ -600,7 +607,7 @@ def _evaluate_group(request: _Request, **further_options: Any) -> None:
             if not request.as_json:
                 text = records.group_text(result)
                 terminal.print_result(text if engine is None else f"in {engine}: {text}\n")
-    request.write([result for group_result in groups for result in group_result.evaluations])
+    request.write([result for group_result in groups for result in group_result.evaluations], groups)
     pairs = [compare_engines(groups[0], group_result) for group_result in groups[1:]]
     if request.as_json:
         rows = [records.group_json(group_result) for group_result in groups]

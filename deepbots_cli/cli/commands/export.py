@@ -46,6 +46,7 @@ if TYPE_CHECKING:
 
 class Form(StrEnum):
     bundle = "bundle"
+    hub = "hub"
     isaac_lab = "isaac-lab"
     lerobot = "lerobot"
     webots = "webots"
@@ -69,7 +70,8 @@ def command(
         Form,
         option(
             "--to",
-            "A bundle, the files that runners of Isaac Lab or LeRobot read, or a project of Webots.",
+            "A bundle, a repository of a model hub, the files that runners of Isaac Lab or LeRobot read, or a"
+            " project of Webots.",
             ADVANCED,
         ),
     ] = Form.bundle,

@@ -610,9 +610,7 @@ def command_plot(
     with terminal.transient_line("reading the logs ..."):
         logs = training_logs.read_logs(runs, window, by_agent=True)
     if out.suffix.lower() == plots.DATA:
-        from deepbots_cli.insight.figures import curve_rows
-
-        write_tables(curve_rows(logs, statistic), out, None)
+        write_tables(plots.curve_rows(logs, statistic), out, None)
     else:
         plots.save(plots.plot(logs, theme="dark" if dark else "light", statistic=statistic), out)
     for log in logs:

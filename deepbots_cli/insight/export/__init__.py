@@ -9,5 +9,6 @@ control.py    a whole control step as one graph; the meaning of names in it
 parity.py     the check that an exported policy acts as in the scenario, and the recorded steps of a bundle
 deploy.py     a policy in the form that runners of Isaac Lab read, and their settings, from the scenario alone
 lerobot.py    the scaling of a policy as processors of LeRobot
+hub.py        a bundle with a card, the model and a video, for a model hub
 bundle.py     the folder that `deepbots export` writes, and whether it fits a scenario
 """

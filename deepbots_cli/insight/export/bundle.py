@@ -104,7 +104,7 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
 
 
 def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, bytes]:
-    """Return the files of `export --to` for a reader: `isaac-lab` or `lerobot`.
+    """Return the files of `export --to` for a reader: `isaac-lab`, `lerobot` or `hub`.
 
     Raises:
         MissingExtraError: onnx or the extra `train` is not installed.
@@ -117,10 +117,12 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
         # A scenario that does not fit is refused within 1 s; the imports and the model below take 7 s.
         deploy_settings(run.program)
     try:
-        from deepbots_cli.insight.export import deploy, lerobot
+        from deepbots_cli.insight.export import deploy, hub, lerobot
         from deepbots_cli.learning import policy
     except ModuleNotFoundError as error:
         raise MissingExtraError("export", "exporting a policy") from error
+    if reader == "hub":
+        return hub.hub_files(run, name)
     emit = deploy.isaac_files if reader == "isaac-lab" else lerobot.lerobot_files
     return emit(run.program, policy.loaded(run, name))
 

@@ -9,10 +9,11 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from inspect import signature, unwrap
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -364,6 +365,11 @@ def _entry(name: str) -> type[Model]:
     return ALGORITHMS[name]
 
 
+CONTAINER_LIMITS = (
+    Path("/sys/fs/cgroup/memory.max"),
+    Path("/sys/fs/cgroup/memory/memory.limit_in_bytes"),
+)
+"""The files with the memory limit of a container, of cgroups 2 and 1."""
 _BYTES_PER_ENVIRONMENT = 29_000_000  # measured for a cart-pole in PyBullet
 
 
@@ -414,12 +420,23 @@ def check_replay(settings: Mapping[str, Any], space: gym.Space[Any], memory: int
 
 
 def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "") -> None:
-    if memory is None and hasattr(os, "sysconf"):  # not on Windows
-        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    memory = _memory() if memory is None else memory
     if memory is not None and needed > memory:
         raise UsageError(
-            f"{subject} {needed / 1e9:.1f} GB of memory, and this machine has {memory / 1e9:.1f} GB{hint}"
+            f"{subject} {needed / 1e9:.1f} GB of memory, and this machine or container has"
+            f" {memory / 1e9:.1f} GB{hint}"
         )
+
+
+def _memory() -> int | None:
+    """Return the memory in bytes that this machine or its container has; None on Windows."""
+    if not hasattr(os, "sysconf"):
+        return None
+    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    for path in CONTAINER_LIMITS:
+        with suppress(OSError, ValueError):  # there is no such file, or it says `max`
+            limits.append(int(path.read_text()))
+    return min(limits)
 
 
 def numbers_in(space: gym.Space[Any]) -> int:
