@@ -225,9 +225,7 @@ def _moved(root: nodes.MappingNode, path: NodePath, home: NodePath) -> str:
     """Describe where to move the entry at `path`, and the line to write there."""
     line = _line(root, path, str(path[-1]))
     if line.startswith("--set"):
-        return (
-            f"write `--set {'.'.join(map(str, (*home, path[-1])))}{line.removeprefix(f'--set {path[-1]}')}`"
-        )
+        return f"write `--set {'.'.join(map(str, (*home, path[-1])))}={line.partition('=')[2]}`"
     if not home:
         return f"move this line to the top level, without spaces before it: `{line}`"
     section, key, steps = descend(root, home)

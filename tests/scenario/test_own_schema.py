@@ -503,3 +503,8 @@ def test_a_percentage_becomes_a_number(check: Check, cartpole: str) -> None:
     assert scenario is not None
     assert scenario.train is not None
     assert scenario.train.hyperparameters["gamma"] == 0.57
+
+
+def test_an_assignment_of_a_key_that_stands_elsewhere_names_its_place() -> None:
+    (finding,) = api.load("cartpole", overrides=["train.hidden=8"]).findings.errors
+    assert finding.help == "write `--set train.network.hidden=8`"
