@@ -323,7 +323,7 @@ class RunsTab:
                 shown.add(text)
                 words = shlex.split(text)[1:]
                 self._add_advised_command(words, output)
-                if "--timesteps" in words:
+                if "--timesteps" in words[-2:]:  # values after it are not of the text
                     self._add_training(words[-1], shown)
             if not any(text.startswith("deepbots resume") for text in commands):
                 self._add_advised_values(cause.get("settings") or {}, "Write {} into the text")

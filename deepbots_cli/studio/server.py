@@ -147,7 +147,7 @@ def studio(
         )
     folder = path if path.is_dir() else path.parent
     session = Session(folder, permissions)
-    first = path if path.is_file() else next(iter(session.scenarios()), None)
+    first = path.absolute() if path.is_file() else next(iter(session.scenarios()), None)
     with suppress(UsageError):  # of a lesson that is not on this machine
         if path.is_dir() and (started := started_in(session.folder)) and started.scenario.is_file():
             first = started.scenario

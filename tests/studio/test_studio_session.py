@@ -477,6 +477,16 @@ def test_a_folder_of_the_studio_with_links_is_refused(folder, tmp_path_factory):
 
 
 @pytest.mark.slow
+def test_a_scenario_in_a_folder_of_the_present_one_is_served(folder):
+    with (
+        served(folder.parent, f"{folder.name}/mine.yaml") as running,
+        socket.create_connection(("127.0.0.1", running.port), 60) as line,
+    ):
+        line.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert line.recv(20).startswith(b"HTTP/1.1 403")  # without the token
+
+
+@pytest.mark.slow
 def test_a_killed_studio_leaves_its_folder_to_the_next(folder):
     with served(folder, "mine.yaml") as first:
         first.stop(signal.SIGKILL)
