@@ -655,7 +655,7 @@ def _notes_on_scenarios(difference: GroupDifference, *, named: bool) -> list[str
     if not difference.own_scenarios:
         return notes
     reason = (
-        f", because what policies observe or do differs: {_listed(meanings.acting)}"
+        f", because the robot, the observation or the action differs: {_listed(meanings.acting)}"
         if meanings.acting
         else ""
     )

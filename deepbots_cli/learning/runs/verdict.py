@@ -102,8 +102,8 @@ def solved_verdict(
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
     plan = Confirmation.plan(solved, number, bounds, outcomes)
     if plan is not None and plan.episodes > episodes:
-        luck = f"{', '.join(reasons)} may be luck in {episodes:,} episodes"
-        text = f"solved: unknown, because {luck}; evaluate with `--episodes {plan.episodes}`"
+        few = f"{episodes:,} episodes are too few to be sure of it ({', '.join(reasons)})"
+        text = f"solved: unknown, because {few}; evaluate with `--episodes {plan.episodes}`"
         return SolvedVerdict(None, text, plan.episodes)
     text = f"not solved: {', '.join(reasons)}, and to confirm it, {confirmation.requirement} must be reached"
     return SolvedVerdict(False, text, solved.episodes)
