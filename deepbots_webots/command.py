@@ -105,9 +105,8 @@ def command(
         if not allow_code:
             _show_robots(opened, as_json=as_json)
             return
-        page = _Page(host, port, open_) if view else None
         is_fast = not view if fast is None else fast
-        options = _Options(steps, timeout, python, record, force, page, is_fast, as_json)
+        options = _Options(steps, timeout, python, record, force, view, host, port, open_, is_fast, as_json)
         _run(files, opened, options)
 
 
@@ -259,24 +258,18 @@ def _short(names: Iterable[str]) -> str:
 
 
 @dataclass(frozen=True)
-class _Page:
-    """Where to serve the page of a run."""
-
-    host: str
-    port: int | None
-    opens_browser: bool
-
-
-@dataclass(frozen=True)
 class _Options:
-    """How to run a world."""
+    """How to run a world, and where to serve its page."""
 
     steps: int | None
     timeout: float
     python: Path | None
     record: Path | None
     force: bool
-    page: _Page | None
+    has_page: bool
+    host: str
+    port: int | None
+    opens_browser: bool
     is_fast: bool
     as_json: bool
 
@@ -289,7 +282,7 @@ def _run(files: _Files, opened: _Opened, options: _Options) -> None:
     try:
         with ExitStack() as stack:
             viewer = None
-            if options.page is not None:
+            if options.has_page:
                 viewer = stack.enter_context(_serve(simulation, pace, files.world.name, options))
             outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
             # A stuck controller is a thread that nothing ends, and it would run beside its successor.
@@ -344,12 +337,10 @@ def _serve(simulation: Simulation, pace: Pace, title: str, options: _Options) ->
     """Serve the page of a run, and print its address. A run that is recorded has no second one."""
     from deepbots_webots.viewer import Viewer
 
-    page = options.page
-    assert page is not None
     can_restart = options.record is None
-    viewer = Viewer(simulation, pace, title, page.host, page.port, can_restart=can_restart)
+    viewer = Viewer(simulation, pace, title, options.host, options.port, can_restart=can_restart)
     terminal.note(viewer.address)
-    if page.opens_browser:
+    if options.opens_browser:
         webbrowser.open(viewer.address)
     return viewer
 

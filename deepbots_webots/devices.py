@@ -11,10 +11,11 @@ import math
 import struct
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deepbots_webots.imaging import Camera, Lidar, Radar, RangeFinder
 from deepbots_webots.nodes import integer, number, numbers
+from deepbots_webots.scene import Device as Spec
 from deepbots_webots.sensors import (
     GPS,
     Accelerometer,
@@ -30,13 +31,10 @@ from deepbots_webots.sensors import (
     TouchSensor,
     Unimplemented,
     returns,
+    returns_list,
     returns_number,
 )
-
-if TYPE_CHECKING:
-    from deepbots_webots.scene import Device as Spec
-    from deepbots_webots.simulation import Packet, Simulation
-
+from deepbots_webots.simulation import Packet, Simulation
 
 # Joints
 
@@ -101,7 +99,6 @@ class Motor(JointDevice):
         super().__init__(simulation, spec)
         self._state = simulation.physics.motors[spec.node]
         self._feedback = _Feedback(simulation, spec)
-        self.renew()
 
     def renew(self) -> None:
         self._range = number(self._spec.node, "minPosition"), number(self._spec.node, "maxPosition")
@@ -282,35 +279,28 @@ class Receiver(Sensor):
         return len(self._inbox.queue)
 
     def nextPacket(self) -> None:
-        self._head("nextPacket")
-        self._inbox.queue.popleft()
+        self._inbox.queue.remove(self._head)
 
-    def _head(self, function: str) -> Packet:
+    @property
+    def _head(self) -> Packet:
         if not self._inbox.queue:
-            raise RuntimeError(f"Receiver.{function}: the queue of '{self._spec.name}' is empty")
+            raise RuntimeError(f"the queue of the receiver '{self._spec.name}' is empty")
         return self._inbox.queue[0]
 
-    def getBytes(self) -> bytes:
-        return self._head("getBytes").data
-
-    def getData(self) -> bytes:
-        return self._head("getData").data
+    getBytes = getData = returns("_head.data")
+    getSignalStrength = returns("_head.strength")
+    getEmitterDirection = returns_list("_head.direction")
 
     def getString(self) -> str:
-        return self._head("getString").data.partition(b"\0")[0].decode("utf-8")
+        text: bytes = self.getBytes().partition(b"\0")[0]
+        return text.decode("utf-8")
 
     def getFloats(self) -> list[float]:
-        data = self._head("getFloats").data
+        data = self._head.data
         return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
 
     def getDataSize(self) -> int:
-        return len(self._head("getDataSize").data)
-
-    def getSignalStrength(self) -> float:
-        return self._head("getSignalStrength").strength()
-
-    def getEmitterDirection(self) -> list[float]:
-        return list(self._head("getEmitterDirection").direction())
+        return len(self._head.data)
 
     getChannel = returns("_inbox.channel")
 
@@ -321,9 +311,7 @@ class Receiver(Sensor):
 class LED(Device):
     """A lamp: 0 is off, n its n-th color; a gradual one takes an RGB number."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._value = 0
+    _value = 0
 
     def set(self, value: int) -> None:
         self._value = int(value)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from itertools import product
 from math import nan
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_webots.nodes import axis_angle, boolean, child, integer, number, numbers, real, text, walk
 from deepbots_webots.scene import AXES
+from deepbots_webots.scene import Device as Spec
 from deepbots_webots.sensors import (
     NotImplementedCallError,
     Sensor,
@@ -22,20 +25,12 @@ from deepbots_webots.sensors import (
     returns_list,
     returns_number,
 )
-from deepbots_webots.shapes import Mesh, compose, inverse, visible_shape
+from deepbots_webots.shapes import Mesh, Shape, compose, inverse, visible_shape
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.syntax import Node
 from deepbots_webots.tree import number_of
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from deepbots_cli.frames import Frame, Triple
-    from deepbots_webots.rendering import Pictures
-    from deepbots_webots.scene import Device as Spec
-    from deepbots_webots.shapes import Shape
-    from deepbots_webots.simulation import Simulation
-    from deepbots_webots.syntax import Node
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 class _Sees(Sensor):
@@ -66,7 +61,7 @@ class _Optics(Sensor):
 
     def _begin(self) -> None:
         """Check that pictures can be drawn, so that an error is raised where the device is enabled."""
-        from deepbots_webots.rendering import require_opengl
+        from deepbots_webots.rendering import MAX_PIXELS, require_opengl
 
         node = self._spec.node
         is_planar = text(node, "projection") == "planar" and not boolean(node, "spherical")
@@ -74,20 +69,12 @@ class _Optics(Sensor):
             raise NotImplementedCallError(
                 f"a {self._spec.type} with a projection that is not planar is not implemented"
             )
-        self._require_size()
+        if max(self._size) > MAX_PIXELS:
+            raise ValueError(f"{self._spec.type} '{self._spec.name}' is larger than {MAX_PIXELS} pixels")
         try:
             require_opengl()
         except EngineError as error:
             raise EngineError(f"{self._spec.type} '{self._spec.name}' cannot draw: {error}") from error
-
-    def _require_size(self) -> None:
-        from deepbots_webots.rendering import MAX_PIXELS
-
-        if max(self._size) > MAX_PIXELS:
-            raise ValueError(f"{self._spec.type} '{self._spec.name}' is larger than {MAX_PIXELS} pixels")
-
-    def _pictures(self) -> Pictures:
-        return self._simulation.pictures
 
     getFov = returns("_fov")
 
@@ -109,6 +96,11 @@ class _Optics(Sensor):
         return 0
 
 
+def _gets_channel(channel: int) -> Any:
+    """Return the static method that returns a channel of a pixel in a picture of a camera."""
+    return staticmethod(lambda image, width, x, y: image[4 * (y * width + x) + channel])
+
+
 class Camera(_Optics):
     """A camera; its picture is BGRA, row by row from above."""
 
@@ -119,7 +111,7 @@ class Camera(_Optics):
         self._recognition = _Recognition(simulation, spec, self)
 
     def sample(self) -> None:
-        colors = self._pictures().colors(self._frame(), self._size, self._fov, self.getNear())
+        colors = self._simulation.pictures.colors(self._frame(), self._size, self._fov, self.getNear())
         noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
         if noise > 0:
             # numpy draws a picture at once; its seed comes from the world, so that runs repeat.
@@ -142,17 +134,7 @@ class Camera(_Optics):
         """Return red, green and blue of the pixel x, y at `[x][y]`; None before the first picture."""
         return None if self._picture is None else self._picture.swapaxes(0, 1).tolist()
 
-    @staticmethod
-    def imageGetRed(image: bytes, width: int, x: int, y: int) -> int:
-        return image[4 * (y * width + x) + 2]
-
-    @staticmethod
-    def imageGetGreen(image: bytes, width: int, x: int, y: int) -> int:
-        return image[4 * (y * width + x) + 1]
-
-    @staticmethod
-    def imageGetBlue(image: bytes, width: int, x: int, y: int) -> int:
-        return image[4 * (y * width + x)]
+    imageGetBlue, imageGetGreen, imageGetRed = map(_gets_channel, range(3))
 
     @staticmethod
     def imageGetGray(image: bytes, width: int, x: int, y: int) -> float:
@@ -323,13 +305,11 @@ def _span(shape: Shape, frame: Frame) -> tuple[Floats, Floats]:
 class RangeFinder(_Optics, _HasRange):
     """A depth camera: distances along its axis (m), row by row from above; infinite beyond its range."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._depths: NDArray[np.float32] | None = None
+    _depths: NDArray[np.float32] | None = None
 
     def sample(self) -> None:
         node = self._spec.node
-        depths = self._pictures().depths(self._frame(), self._size, self._fov).astype(np.float32)
+        depths = self._simulation.pictures.depths(self._frame(), self._size, self._fov).astype(np.float32)
         least, most = self.getMinRange(), self.getMaxRange()
         # Before the noise, which would move depths across the limits.
         is_seen = (depths >= least) & (depths <= most)

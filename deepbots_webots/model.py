@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.frames import Frame
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_webots.nodes import boolean
-from deepbots_webots.scene import AXES, ORIGIN, Inertia
-from deepbots_webots.shapes import Grid, Mesh, Plane, compose
+from deepbots_webots.scene import AXES, ORIGIN, Body, Contact, Geometry, Inertia, Joint, Scene
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from deepbots_cli.frames import Frame
-    from deepbots_webots.scene import Body, Contact, Geometry, Joint, Scene
-    from deepbots_webots.shapes import Shape
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 CONTACT_STEPS = 2.85
 """The time constant of contacts and stops, in substeps; stiffer ones let a resting box hop."""

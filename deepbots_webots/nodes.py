@@ -11,17 +11,12 @@ from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from importlib import resources
 from math import atan2, hypot
-from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
-from deepbots_cli.frames import Quaternion
+from deepbots_cli.frames import Quaternion, Triple
 from deepbots_cli.records import dataclass
-from deepbots_webots.syntax import Node, Parameter, Value, did_you_mean, parse_interface
-
-if TYPE_CHECKING:
-    from deepbots_cli.frames import Triple
-    from deepbots_webots.syntax import WorldFindings
+from deepbots_webots.syntax import Node, Parameter, Value, WorldFindings, did_you_mean, parse_interface
 
 _ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
 _SIZES = {"Vec2f": 2, "Vec3f": 3, "Rotation": 4, "Color": 3, "Float": 1, "Int32": 1}
@@ -34,9 +29,6 @@ class NodeType:
     name: str
     bases: tuple[str, ...]
     fields: Mapping[str, Parameter]
-
-    def is_a(self, name: str) -> bool:
-        return name == self.name or name in self.bases
 
 
 @cache
@@ -56,7 +48,7 @@ def node_types() -> Mapping[str, NodeType]:
 def is_a(node: Node, name: str) -> bool:
     """Return whether the node, or the node that a PROTO node stands for, is of a type or derived from it."""
     kind = node_types().get(real(node).type)
-    return kind is not None and kind.is_a(name)
+    return kind is not None and name in (kind.name, *kind.bases)
 
 
 def real(node: Node) -> Node:

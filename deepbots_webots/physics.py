@@ -17,29 +17,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from math import ceil, inf, isinf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.records import dataclass
 from deepbots_webots.model import ModelBuilder
 from deepbots_webots.nodes import number, numbers
-from deepbots_webots.scene import ORIGIN, UP
+from deepbots_webots.scene import ORIGIN, UP, Body, Geometry, Joint, Robot, Scene
 from deepbots_webots.shapes import compose
-from deepbots_webots.syntax import WorldError
+from deepbots_webots.syntax import Node, WorldError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from deepbots_cli.diagnostics import Span
-    from deepbots_cli.frames import Frame, Triple
-    from deepbots_webots.scene import Body, Geometry, Joint, Robot, Scene
-    from deepbots_webots.syntax import Node
-
-    Floats = NDArray[np.float64]
+Floats = NDArray[np.float64]
 
 
 _SKIPPED_GROUP = 5
@@ -448,11 +443,7 @@ class Physics:
 
     def position(self, body: Body, frame_in_body: Frame = ORIGIN) -> Triple:
         """Return the origin of a frame of a body, m."""
-        if frame_in_body is not ORIGIN:
-            return self.frame(body, frame_in_body)[0]
-        self.update_positions()
-        x, y, z = self.data.xpos[self.bodies[body.index]].tolist()
-        return x, y, z
+        return self.frame(body, frame_in_body)[0]
 
     def velocity(self, body: Body, frame_in_body: Frame = ORIGIN) -> tuple[Triple, Triple]:
         """Return the velocity of the origin of a frame, m/s, and the angular velocity, rad/s."""
@@ -491,9 +482,6 @@ class Physics:
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
 
-    def joint_velocity(self, joint: Joint) -> float:
-        return float(self.data.qvel[self.model.jnt_dofadr[self._joint_ids[joint]]])
-
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
         """Return the contacts of the last substep: two geometries, the point, and the force on the second
         one, N."""
@@ -529,9 +517,7 @@ class Physics:
         self._has_positions = self._has_velocities = False
 
     def set_velocity(self, body: Body, linear: Triple, angular: Triple) -> None:
-        """Set the velocity of a body that stands alone: m/s and rad/s in the world."""
-        if body not in self._free:
-            return
+        """Set the velocity of a free body: m/s and rad/s in the world."""
         at = self._free_dofs[body]
         self.data.qvel[at : at + 3] = linear
         self.data.qvel[at + 3 : at + 6] = frames.rotate_back(self.frame(body)[1], angular)

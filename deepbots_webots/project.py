@@ -7,8 +7,9 @@ A PROTO node keeps its type and its fields, because a supervisor reads them; `bo
 definition makes of them. A definition is looked for in the world, in the files that it names by EXTERNPROTO,
 among the equivalents, and in folders of the user.
 
-Equivalents of PROTOs of Webots' own library are written anew from published dimensions, each in a file of
-`library/`. They have the fields, devices, masses and outlines of the originals, and a plain appearance.
+Equivalents of PROTOs of Webots' own library are written anew from published dimensions, in `library/`: each
+is a file, or a row of a table. They have the fields, devices, masses and outlines of the originals, and a
+plain appearance.
 """
 
 from __future__ import annotations
@@ -35,6 +36,9 @@ from deepbots_webots.syntax import (
     MAX_NODES,
     TEMPLATE,
     TEMPLATE_HELP,
+    Document,
+    Extern,
+    Item,
     Node,
     Parameter,
     Proto,
@@ -50,7 +54,6 @@ if TYPE_CHECKING:
     from jinja2 import Environment, Template
 
     from deepbots_webots.scene import Robot
-    from deepbots_webots.syntax import Document, Extern, Item
 
 _LIBRARY_FOLDER = "projects/"  # of Webots, with its PROTOs; addresses of its library contain it
 
@@ -224,11 +227,11 @@ def programs(
 def _programs_of(files: Files) -> list[Path]:
     """Return the program of each folder of controllers: the file with its name, or its only one; of a project
     without such folders, its only file of Python."""
-    found = []
+    paths = []
     for folder in sorted(files.project.glob("controllers/*")) or [files.project]:
         inner = sorted(folder.glob("*.py"))
-        found += [path for path in inner if path.stem == folder.name] or (inner if len(inner) == 1 else [])
-    return [path for path in found if files.allows(path)]
+        paths += [path for path in inner if path.stem == folder.name] or (inner if len(inner) == 1 else [])
+    return [path for path in paths if files.allows(path)]
 
 
 def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path]) -> Program:
@@ -265,7 +268,7 @@ def _program(files: Files, name: str, robot: Robot) -> Program:
 
 @dataclass(eq=False, kw_only=True)
 class Equivalent(Proto):
-    """An equivalent of a PROTO of Webots: a file of `library/`, whose body is a template of Jinja."""
+    """An equivalent of a PROTO of Webots in `library/`, whose body is a template of Jinja."""
 
     template: Template
     missing: list[str]
@@ -315,22 +318,24 @@ class _Values:
 @cache
 def equivalents() -> frozenset[str]:
     """Return the names of the PROTOs that have an equivalent."""
-    return frozenset(path.stem for path in LIBRARY.glob("*.proto")) | _outlines().keys()
+    return frozenset(path.stem for path in LIBRARY.glob("*.proto")).union(*map(_alike, PATTERNS))
 
 
 @cache
-def _outlines() -> Mapping[str, str]:
-    """Return the texts of the PROTOs that are a single geometry here, by name."""
-    pattern = Pattern((LIBRARY / "outline.txt").read_text("utf-8"))
-    head, *lines = (LIBRARY / "outlines.txt").read_text("utf-8").splitlines()
-    rows = [dict(zip(head.split(), line.split(), strict=True)) for line in lines]
-    return {row["name"]: pattern.substitute(row, radius=float(row["x"]) / 2) for row in rows}
+def _alike(pattern: str) -> Mapping[str, str]:
+    """Return the texts of the PROTOs that a pattern such as `outline.txt` describes, by name: the rows of a
+    table such as `outlines.txt`."""
+    text = Pattern((LIBRARY / f"{pattern}.txt").read_text("utf-8"))
+    head, *lines = (LIBRARY / f"{pattern}s.txt").read_text("utf-8").splitlines()
+    rows = [dict(zip(head.split(), shlex.split(line), strict=True)) for line in lines]
+    return {row["name"]: text.substitute(row) for row in rows}
 
 
 @cache
 def equivalent(name: str) -> Equivalent:
     """Return the equivalent of a PROTO, which has a line `# not implemented` for fields that are missing."""
-    text = _outlines().get(name) or (LIBRARY / f"{name}.proto").read_text("utf-8")
+    alike = (texts[name] for texts in map(_alike, PATTERNS) if name in texts)
+    text = next(alike, "") or (LIBRARY / f"{name}.proto").read_text("utf-8")
     head, body = text.split("\n] {\n")
     interface = head.partition("[\n")[2]
     source = Source(f"{name}.proto", interface)
@@ -374,6 +379,7 @@ def pit_heights(
 # The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1.
 _PIT_ROUGHNESS = 0.094
 LIBRARY = Path(__file__).parent / "library"
+PATTERNS = ("appearance", "outline", "pipe")
 _MISSING = re.compile(r"field \w+ (\w+) .*# not implemented")
 
 
@@ -546,7 +552,7 @@ class Expander:
             entry = proto.interface.get(name)
             if entry is None:
                 hint = partial(did_you_mean, name, proto.interface, "it is ignored")
-                if node.type in _outlines() and isinstance(proto, Equivalent):
+                if node.type in _alike("outline") and isinstance(proto, Equivalent):
                     self.findings.warning(node.span, f"{node.type} is a plain box, cylinder or ball here")
                 elif not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
                     self.findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)

@@ -9,40 +9,35 @@ from __future__ import annotations
 
 import atexit
 import threading
+from collections.abc import Iterator
 from functools import cache
 from math import ceil, inf, tan
+from pathlib import Path
 from queue import Queue
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 from weakref import WeakSet
 
 import numpy as np
+from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import atomic_write
+from deepbots_cli.frames import Frame
 from deepbots_cli.robots.model import Box
 from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
 from deepbots_webots.model import geom_fields
 from deepbots_webots.nodes import number, parameters, real, rotation, text, turn_of, vector, walk
-from deepbots_webots.shapes import Grid, Plane, look_of, sky_color, visible_shape
+from deepbots_webots.physics import Physics
+from deepbots_webots.scene import Visual
+from deepbots_webots.shapes import Grid, Plane, Shape, look_of, sky_color, visible_shape
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.syntax import Node
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-    from types import TracebackType
-
-    from numpy.typing import NDArray
-
-    from deepbots_cli.frames import Frame
-    from deepbots_webots.physics import Physics
-    from deepbots_webots.scene import Visual
-    from deepbots_webots.shapes import Shape
-    from deepbots_webots.simulation import Simulation
-    from deepbots_webots.syntax import Node
-
-    Image = NDArray[np.uint8]
+Image = NDArray[np.uint8]
 
 
 NEAR_M, FAR_M = 0.01, 1000.0

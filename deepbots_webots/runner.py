@@ -30,15 +30,14 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
 from deepbots_webots import supervisor
 from deepbots_webots.nodes import texts
+from deepbots_webots.project import Program
 from deepbots_webots.project import programs as programs_of
-from deepbots_webots.simulation import Pace
+from deepbots_webots.simulation import Pace, Simulation
 
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-    from deepbots_webots.project import Program
     from deepbots_webots.scene import Robot
-    from deepbots_webots.simulation import Simulation
 
 SITE = Path(__file__).parent / "site"
 """The folder with the module `controller`."""
@@ -157,12 +156,8 @@ class Runner:
         simulation = self.simulation
         if not self.controllers:
             raise UsageError("no robot of the world has a controller that can run")
-        if any(controller.robot.is_supervisor for controller in self.controllers):
-            self._supervisors = [
-                controller for controller in self.controllers if controller.robot.is_supervisor
-            ]
-        else:
-            self._supervisors = self.controllers
+        supervisors = [controller for controller in self.controllers if controller.robot.is_supervisor]
+        self._supervisors = supervisors or self.controllers
         supervisor.activate(simulation)
         simulation.wait = self._wait
         simulation.on_change.append(self._start_new)
@@ -216,14 +211,10 @@ class Runner:
 
     def _outcome(self) -> Outcome:
         simulation = self.simulation
-        code = simulation.quit_status or 0
-        for controller in self.controllers:
-            code = code or controller.exit_code
+        codes = [simulation.quit_status, *(controller.exit_code for controller in self.controllers)]
+        code = next(filter(None, codes), int(bool(self._problems)))
         stuck = [controller for controller in self.controllers if not controller.has_ended]
-        if self._problems:
-            code = code or 1
-        seconds = simulation.ticks / 1000
-        steps = simulation.ticks // simulation.basic_step
+        seconds, steps = simulation.ticks / 1000, simulation.ticks // simulation.basic_step
         ends = tuple(
             (controller.name, controller.exit_code, controller.steps) for controller in self.controllers
         )
@@ -238,8 +229,8 @@ class Runner:
         finder = _ProjectFinder(self)
         # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, finder)
-        name = self._speaker
-        streams = tuple(_Prefixed(target, name, self._on_line) for target in (self._output, self._errors))
+        targets = (self._output, self._errors)
+        streams = tuple(_Prefixed(target, self._speaker, self._on_line) for target in targets)
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})

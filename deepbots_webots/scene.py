@@ -11,12 +11,13 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import field, replace
 from math import hypot
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from deepbots_cli import frames
-from deepbots_cli.frames import IDENTITY_ROTATION, Triple
+from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import (
     LOOKING_TURN,
@@ -34,16 +35,9 @@ from deepbots_webots.nodes import (
     vectors,
     walk,
 )
-from deepbots_webots.shapes import Grid, Mesh, compose, shape_of, volume_of
-from deepbots_webots.syntax import WorldError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from deepbots_cli.frames import Frame, Quaternion
-    from deepbots_webots.project import Files, World
-    from deepbots_webots.shapes import Shape
-    from deepbots_webots.syntax import Node, WorldFindings
+from deepbots_webots.project import Files, World
+from deepbots_webots.shapes import Grid, Mesh, Shape, compose, shape_of, volume_of
+from deepbots_webots.syntax import Node, WorldError, WorldFindings
 
 ORIGIN: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
 AXES: tuple[Triple, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

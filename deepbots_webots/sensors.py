@@ -18,15 +18,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.frames import IDENTITY_ROTATION
+from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
-from deepbots_webots.scene import AXES, NORTH, UP
+from deepbots_webots.scene import AXES, NORTH, UP, Visual
+from deepbots_webots.scene import Device as Spec
 from deepbots_webots.shapes import compose
 
 if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame, Quaternion, Triple
-    from deepbots_webots.scene import Device as Spec
-    from deepbots_webots.scene import Visual
     from deepbots_webots.simulation import Simulation
     from deepbots_webots.syntax import Node
 
@@ -52,7 +50,6 @@ MISSING: Mapping[str, str] = {
     "Field": "disableSFTracking enableSFTracking importSFNode importSFNodeFromString removeSF insertMFBool"
     " insertMFColor insertMFFloat insertMFInt32 insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
-    "TouchSensor": "getLookupTable",
     "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
     " setExposure setFocalDistance getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
     "  hasRecognitionSegmentation isRecognitionSegmentationEnabled"
@@ -129,12 +126,13 @@ class Device(metaclass=_NamedDevices):
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         self._simulation, self._spec = simulation, spec
+        self.renew()
 
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
 
     def renew(self) -> None:
-        """Read the fields of the node again, after a supervisor set one."""
+        """Read the fields of the node, also after a supervisor set one."""
 
     getName = returns("_spec.name")
 
@@ -202,31 +200,33 @@ class Sensor(Device, Sampled):
 class ScalarSensor(Sensor):
     """A sensor of one number."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._value = nan
-
+    _value = nan
     getValue = returns("_value")
 
 
 class HasLookupTable(Sensor):
     """A sensor with a lookup table: rows of a measurement, the response, and the share of noise in it."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._table = vectors(spec.node, "lookupTable")
+    def renew(self) -> None:
+        self._table = vectors(self._spec.node, "lookupTable")
 
     def getLookupTable(self) -> list[float]:
         return [value for row in self._table for value in row]
+
+    def _response(self, value: float) -> float:
+        """Return the response to a measurement, with noise; the measurement without a table."""
+        answer, share = look_up(self._table, value)
+        return self._rounded(answer * (1.0 + self._noise(share)))
 
 
 class VectorSensor(HasLookupTable):
     """A sensor of three numbers, in its own frame; an axis that is switched off reads NaN."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._values: Triple = (nan, nan, nan)
-        self._axes = tuple(boolean(spec.node, f"{axis}Axis") for axis in "xyz")
+    _values: Triple = (nan, nan, nan)
+
+    def renew(self) -> None:
+        super().renew()
+        self._axes = tuple(boolean(self._spec.node, f"{axis}Axis") for axis in "xyz")
 
     getValues = returns_list("_values")
 
@@ -236,16 +236,10 @@ class VectorSensor(HasLookupTable):
 
     def sample(self) -> None:
         x, y, z = (
-            self._rounded(self._response(value)) if is_on else nan
+            self._response(value) if is_on else nan
             for value, is_on in zip(self._measure(), self._axes, strict=True)
         )
         self._values = x, y, z
-
-    def _response(self, value: float) -> float:
-        if not self._table:
-            return value
-        answer, share = look_up(self._table, value)
-        return answer * (1.0 + self._noise(share))
 
 
 def look_up(table: Sequence[Triple], value: float) -> tuple[float, float]:
@@ -309,19 +303,12 @@ class Compass(VectorSensor):
 
 
 class InertialUnit(Sensor):
-    """Orientation in the world."""
+    """Orientation in the world; a quaternion is x, y, z, w."""
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._angles: Triple = (nan, nan, nan)
-        self._turned = (nan, nan, nan, nan)
-
+    _angles: Triple = (nan, nan, nan)
+    _turned: Quaternion = (nan, nan, nan, nan)
     getRollPitchYaw = returns_list("_angles")
-
-    def getQuaternion(self) -> list[float]:
-        """Return the quaternion x, y, z, w."""
-        return list(self._turned)
-
+    getQuaternion = returns_list("_turned")
     getNoise = returns_number("noise")
 
     def sample(self) -> None:
@@ -347,21 +334,15 @@ class GPS(Sensor):
     """Position (m) and velocity (m/s) in the world."""
 
     LOCAL, WGS84 = 0, 1
-
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._values: Triple = (nan, nan, nan)
-        self._speed: Triple = (nan, nan, nan)
-
+    _values: Triple = (nan, nan, nan)
+    _speed: Triple = (nan, nan, nan)
     getValues = returns_list("_values")
 
     def getSpeed(self) -> float:
         return math.hypot(*self._speed)
 
     getSpeedVector = returns_list("_speed")
-
-    def getCoordinateSystem(self) -> int:
-        return self.LOCAL
+    getCoordinateSystem = returns("LOCAL")
 
     def sample(self) -> None:
         spec, node = self._spec, self._spec.node
@@ -391,15 +372,10 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
 
     GENERIC, INFRA_RED, SONAR, LASER = 0, 1, 2, 3
 
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self.renew()
-
     def renew(self) -> None:
-        """Read the fields of the node, which a supervisor may have set."""
+        super().renew()
         node = self._spec.node
         self._type = text(node, "type")
-        self._table = vectors(node, "lookupTable")
         self._reach = max((row[0] for row in self._table), default=0.0)
         count, aperture = integer(node, "numberOfRays"), number(node, "aperture")
         self._directions = ray_directions(1 if self._type == "laser" else max(1, count), aperture)
@@ -417,11 +393,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
     getAperture = returns_number("aperture")
 
     def sample(self) -> None:
-        if not self._table:
-            self._value = self._distance()
-            return
-        answer, share = look_up(self._table, self._distance())
-        self._value = self._rounded(answer * (1.0 + self._noise(share)))
+        self._value = self._response(self._distance())
 
     def _distance(self) -> float:
         """Return the distance that the lookup table gets, m."""
@@ -446,21 +418,15 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
         return sum(map(math.prod, zip(self._weights, distances, strict=True)))
 
 
-class TouchSensor(Sensor):
+class TouchSensor(ScalarSensor, HasLookupTable):
     """A bumper (0 or 1), or the contact force on its bounding object, N."""
 
     BUMPER, FORCE, FORCE3D = 0, 1, 2
-
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._type = text(spec.node, "type")
-        self._value, self._values = nan, (nan, nan, nan)
+    _values: Triple = (nan, nan, nan)
+    getValues = returns_list("_values")
 
     def getType(self) -> int:
-        return {"force": 1, "force-3d": 2}.get(self._type, 0)
-
-    getValue = returns("_value")
-    getValues = returns_list("_values")
+        return {"force": 1, "force-3d": 2}.get(text(self._spec.node, "type"), 0)
 
     def sample(self) -> None:
         physics, node = self._simulation.physics, self._spec.node
@@ -470,13 +436,9 @@ class TouchSensor(Sensor):
             for geom, sign in ((second, 1.0), (first, -1.0)):
                 if physics.geoms[geom][1].owner is node:
                     touches, total = True, frames.add(total, frames.scaled(force, sign))
-        local = frames.rotate_back(self._frame()[1], total)
-        self._values = local
-        if self._type == "bumper":
-            self._value = float(touches)
-        else:
-            answer, share = look_up(vectors(node, "lookupTable"), abs(local[0]))
-            self._value = self._rounded(answer * (1.0 + self._noise(share)))
+        self._values = frames.rotate_back(self._frame()[1], total)
+        is_bumper = self.getType() == self.BUMPER
+        self._value = float(touches) if is_bumper else self._response(abs(self._values[0]))
 
 
 def ray_directions(count: int, aperture: float) -> list[Triple]:
@@ -520,8 +482,7 @@ class LightSensor(ScalarSensor, HasLookupTable):
     """The response of a lookup table to the irradiance, W/m^2."""
 
     def sample(self) -> None:
-        answer, share = look_up(self._table, self._irradiance())
-        self._value = self._rounded(answer * (1.0 + self._noise(share)))
+        self._value = self._response(self._irradiance())
 
     def _irradiance(self) -> float:
         """Return the mean over the colors of the light that arrives, through the color filter."""

@@ -20,7 +20,7 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.robots.meshes import mesh_problem, mesh_size
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
 from deepbots_webots.nodes import child, integer, is_a, number, numbers, real, texts, vector, vectors
-from deepbots_webots.syntax import WorldFindings
+from deepbots_webots.syntax import Node, WorldFindings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Frame, Triple
     from deepbots_webots.project import Files
     from deepbots_webots.scene import Visual
-    from deepbots_webots.syntax import Node
 
     Floats = NDArray[np.float64]
     Pixels = NDArray[np.uint8]
@@ -238,11 +237,11 @@ MAX_REPEATS = 10_000.0
 _MISSING = ((1.0, 1.0, 1.0), (0.55, 0.55, 0.55))
 """The squares of a texture that is not available, as parts of the color of the appearance."""
 _PATTERNS: Mapping[str, tuple[Triple, ...]] = {
-    "deepbots:parquetry": ((1.0, 0.84, 0.64), (0.92, 0.75, 0.55)),
-    "deepbots:chequered parquetry": ((1.0, 0.84, 0.64), (0.62, 0.43, 0.28)),
-    "deepbots:sand": ((1.0, 0.88, 0.68),),
-    "deepbots:grass": ((0.45, 0.66, 0.32),),
-    "deepbots:asphalt": ((0.5, 0.5, 0.52),),
+    "deepbots:Parquetry": ((1.0, 0.84, 0.64), (0.92, 0.75, 0.55)),
+    "deepbots:ChequeredParquetry": ((1.0, 0.84, 0.64), (0.62, 0.43, 0.28)),
+    "deepbots:SandyGround": ((1.0, 0.88, 0.68),),
+    "deepbots:Grass": ((0.45, 0.66, 0.32),),
+    "deepbots:Asphalt": ((0.5, 0.5, 0.52),),
 }
 """The colors of the two squares of each pattern of the library, by its address. A single color has no
 squares."""

@@ -27,13 +27,13 @@ from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import integer, number, text
 from deepbots_webots.physics import Physics
 from deepbots_webots.sensors import Device as DeviceObject
+from deepbots_webots.sensors import Sampled
 
 if TYPE_CHECKING:
     from deepbots_cli.diagnostics import Span
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_webots.rendering import Pictures
     from deepbots_webots.scene import Device, Robot, Scene
-    from deepbots_webots.sensors import Sampled
 
 
 @dataclass(eq=False)
@@ -56,12 +56,14 @@ class Packet:
     def distance(self) -> float:
         return hypot(*self.offset)
 
+    @property
     def strength(self) -> float:
-        """Return the signal strength, 1 at 1 m."""
+        """The signal strength, 1 at 1 m."""
         return self.noise / self.distance**2 if self.distance else inf
 
+    @property
     def direction(self) -> Triple:
-        """Return the direction of the emitter in the frame of the receiver."""
+        """The direction of the emitter in the frame of the receiver."""
         length = self.distance or 1.0
         return frames.rotate_back(self.rotation, frames.scaled(self.offset, 1 / length))
 
@@ -251,15 +253,12 @@ class Simulation:
             (receiver, received, frames.scaled(unit, -1.0)),
         ):
             aperture = number(device.node, "aperture")
-            if aperture >= 0 and not _within_cone(frames.rotate_back(rotation, direction), aperture):
+            along = frames.rotate_back(rotation, direction)[0]
+            if aperture >= 0 and along < cos(min(aperture / 2, pi)):
                 return False
         hit = self.physics.rays.cast(start, [unit], distance, sender.body.robot)[0]
         # The ray may end at the robot that carries the receiver, which hides nothing.
         return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
-
-
-def _within_cone(direction: Triple, aperture: float) -> bool:
-    return direction[0] >= cos(min(aperture / 2, pi))
 
 
 # Pace: as fast as it can, at the pace of a clock, or by single steps

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_webots.devices import device_object
 from deepbots_webots.nodes import text, texts, walk
 from deepbots_webots.scene import DEVICES
 from deepbots_webots.sensors import Sampled, missing_attribute, returns
+from deepbots_webots.simulation import Simulation
 from deepbots_webots.syntax import Node as Written
 from deepbots_webots.tree import Node, number_of
-
-if TYPE_CHECKING:
-    from deepbots_webots.simulation import Simulation
 
 _ACTIVE: list[Simulation] = []
 """The simulation that runs in this process; the module `controller` belongs to it."""
@@ -163,7 +161,12 @@ class Supervisor(Robot):
         for def_name in name.split("."):
             # `walk` yields the node itself first, which is not a part of itself.
             match = next(
-                (node for node in _public(nodes) if node.name == def_name and node is not match), None
+                (
+                    node
+                    for node in walk(nodes)  # none of the body of a PROTO
+                    if node.name == def_name and node is not match and not node.is_internal
+                ),
+                None,
             )
             if match is None:
                 return None
@@ -198,11 +201,6 @@ class Supervisor(Robot):
 
     def setLabel(self, *_: Any) -> None:
         """Do nothing: there is no window."""
-
-
-def _public(nodes: list[Written]) -> list[Written]:
-    """Return the nodes that a DEF name may mean: none of the body of a PROTO."""
-    return [node for node in walk(nodes) if not node.is_internal]
 
 
 class Keyboard(Sampled):

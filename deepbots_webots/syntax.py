@@ -240,7 +240,6 @@ class Document:
     """The contents of one file."""
 
     source: Source
-    release: str
     externs: list[Extern]
     protos: dict[str, Proto]
     nodes: list[Node]
@@ -324,8 +323,8 @@ class _Parser:
     # Files
 
     def document(self, *, is_proto: bool) -> Document:
-        release = self.release(is_proto=is_proto)
-        document = Document(self.source, release, [], {}, [])
+        self.read_header(is_proto=is_proto)
+        document = Document(self.source, [], {}, [])
         while self.token.kind:
             text = self.token.text
             if text == "IMPORTABLE":
@@ -345,8 +344,8 @@ class _Parser:
             proto.externs, proto.neighbors = document.externs, document.protos
         return document
 
-    def release(self, *, is_proto: bool) -> str:
-        """Return the release in the header, such as `R2023b`."""
+    def read_header(self, *, is_proto: bool) -> None:
+        """Read the release, such as `R2023b`, and with it the axes."""
         header = _HEADER.match(self.text)
         if header is None:
             if "\0" in self.text[:1000]:
@@ -365,7 +364,6 @@ class _Parser:
                 "open and save it in a later release of Webots",
             )
         self.has_old_axes = release < AXES_RELEASE
-        return header[1]
 
     def extern(self) -> Extern:
         self.take()

@@ -5,23 +5,19 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deepbots_cli import frames
+from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
 from deepbots_webots.project import nodes_of_text
-from deepbots_webots.scene import AXES, add_nodes, remove_node
+from deepbots_webots.scene import AXES, Body, Joint, add_nodes, remove_node
 from deepbots_webots.sensors import NotImplementedCallError, missing_attribute, returns
 from deepbots_webots.shapes import compose, inverse
+from deepbots_webots.simulation import Simulation
+from deepbots_webots.syntax import Item, Value, WorldError
 from deepbots_webots.syntax import Node as Written
-from deepbots_webots.syntax import Value, WorldError
-
-if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame, Quaternion, Triple
-    from deepbots_webots.scene import Body, Joint
-    from deepbots_webots.simulation import Simulation
-    from deepbots_webots.syntax import Item
 
 
 class _NodeTypes:
@@ -126,8 +122,7 @@ class Node(_NodeTypes):
 
     def setVelocity(self, velocity: list[float]) -> None:
         x, y, z, u, v, w = map(float, velocity)
-        self._free_body("setVelocity")
-        self._simulation.physics.set_velocity(self._attachment("setVelocity")[0], (x, y, z), (u, v, w))
+        self._simulation.physics.set_velocity(self._free_body("setVelocity"), (x, y, z), (u, v, w))
 
     def _free_body(self, function: str) -> Body:
         body, _ = self._attachment(function)
@@ -180,18 +175,13 @@ class Node(_NodeTypes):
     def getContactPoints(self, includeDescendants: bool = False) -> list[ContactPoint]:
         """Return the contacts of the last substep."""
         physics = self._simulation.physics
-        owners = self._owners(include=includeDescendants)
+        owners = {real(node) for node in walk([self._node])} if includeDescendants else {self._real}
         points = []
         for first, second, point, _ in physics.contacts():
             for geom in (first, second):
                 if physics.geoms[geom][1].owner in owners:
                     points.append(ContactPoint(list(point), number_of(self._simulation, self._node)))
         return points
-
-    def _owners(self, *, include: bool) -> set[Written]:
-        if not include:
-            return {self._real}
-        return {real(node) for node in walk([self._node])}
 
     def getNumberOfContactPoints(self, includeDescendants: bool = False) -> int:
         return len(self.getContactPoints(includeDescendants))
@@ -237,6 +227,21 @@ class ContactPoint:
     node_id: int
     getPoint = returns("point")
     getNodeId = returns("node_id")
+
+
+def _gets_item(kind: Callable[[Any], Any]) -> Callable[[Field, int], Any]:
+    """Return a method that returns one item of a list."""
+    return lambda field, index: kind(field._items()[index])
+
+
+def _gets_numbers(size: int) -> Callable[[Field, int], list[float]]:
+    """Return a method that returns an item of some numbers of a list."""
+    return lambda field, index: field._numbers()[size * index : size * index + size]
+
+
+def _sets_value(function: str, items_of: Callable[[Any], Sequence[Item]]) -> Callable[[Field, Any], None]:
+    """Return a method that sets the value of a field of a single value."""
+    return lambda field, value: field._set(function, items_of(value))
 
 
 def _sets_item(function: str, items_of: Callable[[Any], Sequence[Item]]) -> Callable[[Field, int, Any], None]:
@@ -340,28 +345,13 @@ class Field:
         item = items[index] if -len(items) <= index < len(items) else None
         return Node(self._simulation, item) if isinstance(item, Written) else None
 
-    def getMFFloat(self, index: int) -> float:
-        return self._numbers()[index]
-
-    def getMFInt32(self, index: int) -> int:
-        return int(self._numbers()[index])
-
-    def getMFString(self, index: int) -> str:
-        return str(self._items()[index])
-
-    def getMFBool(self, index: int) -> bool:
-        return bool(self._items()[index])
-
-    def getMFVec2f(self, index: int) -> list[float]:
-        return self._numbers()[2 * index : 2 * index + 2]
-
-    def getMFVec3f(self, index: int) -> list[float]:
-        return self._numbers()[3 * index : 3 * index + 3]
-
-    getMFColor = getMFVec3f
-
-    def getMFRotation(self, index: int) -> list[float]:
-        return self._numbers()[4 * index : 4 * index + 4]
+    getMFBool = _gets_item(bool)
+    getMFInt32 = _gets_item(int)
+    getMFFloat = _gets_item(float)
+    getMFString = _gets_item(str)
+    getMFVec2f = _gets_numbers(2)
+    getMFVec3f = getMFColor = _gets_numbers(3)
+    getMFRotation = _gets_numbers(4)
 
     def _numbers(self) -> list[float]:
         return [item for item in self._items() if isinstance(item, float)]
@@ -445,18 +435,10 @@ class Field:
                 return
         self._set("setSFString", [str(value)])
 
-    def setSFBool(self, value: bool) -> None:
-        self._set("setSFBool", [bool(value)])
-
-    def setSFInt32(self, value: int) -> None:
-        self._set("setSFInt32", [float(int(value))])
-
-    def setSFVec2f(self, values: Sequence[float]) -> None:
-        self._set("setSFVec2f", list(map(float, values)))
-
-    def setSFColor(self, values: Sequence[float]) -> None:
-        self._set("setSFColor", list(map(float, values)))
-
+    setSFBool = _sets_value("setSFBool", lambda value: [bool(value)])
+    setSFInt32 = _sets_value("setSFInt32", lambda value: [float(int(value))])
+    setSFVec2f = _sets_value("setSFVec2f", lambda values: list(map(float, values)))
+    setSFColor = _sets_value("setSFColor", lambda values: list(map(float, values)))
     setMFBool = _sets_item("setMFBool", lambda value: [bool(value)])
     setMFInt32 = _sets_item("setMFInt32", lambda value: [float(int(value))])
     setMFFloat = _sets_item("setMFFloat", lambda value: [float(value)])

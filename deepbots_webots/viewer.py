@@ -12,16 +12,18 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import atan, tan
-from typing import TYPE_CHECKING, Any
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.frames import Frame
 from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
 from deepbots_cli.view import server
 from deepbots_cli.view.panel import heading, hint, notice, set_theme
-from deepbots_cli.view.playback import RELEASE_TIMEOUT_S
+from deepbots_cli.view.playback import RELEASE_TIMEOUT_S, Axes, Keys
 from deepbots_cli.view.scene import (
     MAX_CELLS,
     add_shape,
@@ -31,15 +33,8 @@ from deepbots_cli.view.scene import (
     with_edges,
 )
 from deepbots_webots.rendering import HEIGHT, WIDTH, Viewpoint
-from deepbots_webots.shapes import Grid, Mesh, Plane, look_of, sky_color, visible_shape
-
-if TYPE_CHECKING:
-    from types import TracebackType
-
-    from deepbots_cli.frames import Frame
-    from deepbots_cli.view.playback import Axes, Keys
-    from deepbots_webots.shapes import Shape
-    from deepbots_webots.simulation import Pace, Simulation
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, look_of, sky_color, visible_shape
+from deepbots_webots.simulation import Pace, Simulation
 
 FRAME_RATE = 30
 """Pictures per second of real time."""

@@ -9,25 +9,20 @@ Webots, and the controllers of the robots drive the motors.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import is_movable
 from deepbots_cli.engines.mujoco import mujoco
-from deepbots_cli.port import ZERO_VECTOR, EngineProxy
-from deepbots_cli.program.world import ARENA_WALLS
+from deepbots_cli.frames import Quaternion, Triple
+from deepbots_cli.port import ZERO_VECTOR, ContactReader, Engine, EngineProxy, MotorWriter, Part
+from deepbots_cli.program.world import ARENA_WALLS, EngineParameter, WorldModel
+from deepbots_cli.robots.model import Joint
 from deepbots_webots.bridge.names import def_name, joint_def
 from deepbots_webots.nodes import axis_angle
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from deepbots_cli.frames import Quaternion, Triple
-    from deepbots_cli.port import ContactReader, Engine, MotorWriter, Part
-    from deepbots_cli.program.world import EngineParameter, WorldModel
-    from deepbots_cli.robots.model import Joint
 
 
 class Motion(NamedTuple):

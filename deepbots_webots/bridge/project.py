@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
-from deepbots_cli.port import EngineProxy
+from deepbots_cli.port import Engine, EngineProxy
 from deepbots_cli.records import dataclass
 from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
@@ -28,7 +28,6 @@ from deepbots_cli.runtime.messages import FieldCodec
 from deepbots_webots.bridge.plant import MirrorEngine, Plant
 
 if TYPE_CHECKING:
-    from deepbots_cli.port import Engine
     from deepbots_cli.program import Program
     from deepbots_cli.program.robots import Direction, Robot
     from deepbots_cli.program.world import WorldModel

@@ -5,21 +5,17 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from math import inf
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.port import SERVO_TIME
+from deepbots_cli.errors import MessageError
+from deepbots_cli.frames import Frame, Quaternion, Triple
+from deepbots_cli.port import SERVO_TIME, MotorWriter, Part
+from deepbots_cli.program.robots import MessageLayout
 from deepbots_cli.runtime.messages import FieldCodec, layout_error
 from deepbots_cli.runtime.streams import Streams
 from deepbots_webots.bridge import names
-from deepbots_webots.bridge.project import START
-
-if TYPE_CHECKING:
-    from deepbots_cli.errors import MessageError
-    from deepbots_cli.frames import Frame, Quaternion, Triple
-    from deepbots_cli.port import MotorWriter, Part
-    from deepbots_cli.program.robots import MessageLayout
-    from deepbots_webots.bridge.project import Project
+from deepbots_webots.bridge.project import START, Project
 
 Reader = Callable[[], Any]
 
@@ -44,7 +40,7 @@ class RobotDevices:
         """
         self.gravity = gravity
         self.first: list[Any] | None = None
-        self._robot, self._timestep = robot, timestep
+        self._robot, self._timestep, self._period = robot, timestep, round(timestep * 1000)
         self._count = self._rays = 0
         self._joints: dict[str, _Joint] = {}
         self._frames: dict[str, _LinkSensors] = {}
@@ -173,10 +169,6 @@ class RobotDevices:
 
     # Devices
 
-    @property
-    def _period(self) -> int:
-        return round(self._timestep * 1000)
-
     def _joint(self, name: str) -> _Joint:
         if name not in self._joints:
             sensor = self.device(names.position_sensor(name))
@@ -256,7 +248,8 @@ class WebotsRobot:
         self._streams: Streams | None = None
         self._time = -1.0
         self._has_begun = False
-        self._message: Sequence[str] = self._emitted.silence.split(",")
+        self.message: Sequence[str] = self._emitted.silence.split(",")
+        """The cells of the message of this timestep."""
 
     def observe(self) -> None:
         """Read the sensors and make the message of this timestep, before the new commands act."""
@@ -269,12 +262,7 @@ class WebotsRobot:
             self.controller.hold()
         else:
             self.controller.observe()
-            self._message = self._emitted.encode(self.controller.create_message()).split(",")
-
-    @property
-    def message(self) -> Sequence[str]:
-        """The cells of the message of this timestep."""
-        return self._message
+            self.message = self._emitted.encode(self.controller.create_message()).split(",")
 
     def begins_with(self, cells: Sequence[str]) -> bool:
         """Begin an episode, if this is the message that begins one; return whether it is."""

@@ -18,7 +18,7 @@ from deepbots_cli.codegen.names import class_name, docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.port import EngineProxy
-from deepbots_cli.program.robots import Motor
+from deepbots_cli.program.robots import Motor, Robot
 from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
 from deepbots_cli.records import dataclass
 from deepbots_webots.bridge import names
@@ -28,7 +28,6 @@ from deepbots_webots.export.world import joint_stops, world_text
 if TYPE_CHECKING:
     from deepbots_cli.frames import Frame
     from deepbots_cli.program import Program
-    from deepbots_cli.program.robots import Robot
     from deepbots_cli.robots.model import Joint
     from deepbots_cli.rollout.source import Source
     from deepbots_cli.runtime import Supervisor
@@ -194,7 +193,7 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
                 "received": _fields(spec.to_robot.fields),
             }
         )
-    texts["requirements.txt"] = _requirements()
+    texts["requirements.txt"] = _REQUIREMENTS
     return texts
 
 
@@ -252,13 +251,12 @@ def _left_out(program: Program) -> list[str]:
     return [f"`{name}`" for name in (*names, *(name for name in _LEFT_OUT if getattr(training, name)))]
 
 
-def _requirements() -> str:
-    return (
-        f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
-        "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
-        "# deepbots-webots @ file:///PATH/TO/THE/CLONE/deepbots_webots\n"
-        "mujoco\nonnxruntime\nstable-baselines3\n"
-    )
+_REQUIREMENTS = (
+    f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
+    "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
+    "# deepbots-webots @ file:///PATH/TO/THE/CLONE/deepbots_webots\n"
+    "mujoco\nonnxruntime\nstable-baselines3\n"
+)
 
 
 def policy_of_run(run: Any, model: Any) -> bytes:
@@ -413,13 +411,10 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
             )
     if not (robot.to_route.perfect and robot.from_route.perfect):
         gaps.differ("Latency, loss and range of messages are left out.")
-    for joint in _model(program, robot.name).joints:
+    model = next(body.model for body in program.world.robots if body.name == robot.name)
+    for joint in model.joints:
         for sentence, is_missing in _gaps_of_joint(robot.name, joint):
             (gaps.miss if is_missing else gaps.differ)(sentence)
-
-
-def _model(program: Program, robot: str) -> Any:
-    return next(body.model for body in program.world.robots if body.name == robot)
 
 
 def _gaps_of_joint(robot: str, joint: Joint) -> Iterator[tuple[str, bool]]:

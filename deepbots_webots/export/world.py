@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field, replace
 from math import inf, pi
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -22,21 +22,28 @@ from deepbots_cli.engines.mechanics import (
     rigid_group,
     with_explicit_masses,
 )
-from deepbots_cli.frames import IDENTITY_ROTATION, rotate_tensor, rotation_matrix
+from deepbots_cli.frames import IDENTITY_ROTATION, Frame, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
-from deepbots_cli.program.robots import Motor
+from deepbots_cli.program.robots import Motor, Robot
+from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
 from deepbots_cli.records import dataclass
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Friction, Geometry, Inertial, Mesh, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Friction,
+    Geometry,
+    Inertial,
+    Joint,
+    Link,
+    Mesh,
+    RobotModel,
+    Shape,
+    Sphere,
+)
 from deepbots_webots.bridge import names
+from deepbots_webots.bridge.project import RemoteRobot
 from deepbots_webots.nodes import axis_angle
-
-if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame
-    from deepbots_cli.program.robots import Robot
-    from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
-    from deepbots_cli.robots.model import Joint, Link, RobotModel, Shape
-    from deepbots_webots.bridge.project import RemoteRobot
-
 
 HEADER = "#VRML_SIM R2025a utf8"
 

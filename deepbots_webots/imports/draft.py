@@ -16,8 +16,8 @@ from dataclasses import field
 from functools import cached_property
 from math import hypot, isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
 from deepbots_webots.imports.world import (
@@ -32,14 +32,9 @@ from deepbots_webots.imports.world import (
     surroundings,
 )
 from deepbots_webots.nodes import integer, number, real, text, vectors, walk
-from deepbots_webots.project import programs, read_world
-from deepbots_webots.scene import AXES, build_scene
-
-if TYPE_CHECKING:
-    from deepbots_cli.diagnostics import Span
-    from deepbots_webots.project import Files, World
-    from deepbots_webots.scene import Body, Device, Robot, Scene
-    from deepbots_webots.syntax import Node, WorldFindings
+from deepbots_webots.project import Files, World, programs, read_world
+from deepbots_webots.scene import AXES, Body, Device, Robot, Scene, build_scene
+from deepbots_webots.syntax import Node, WorldFindings
 
 MAX_FILES = 30
 MAX_CHARACTERS = 300_000

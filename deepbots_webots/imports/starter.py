@@ -8,7 +8,6 @@ import json
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING
 
 from deepbots_cli import api
 from deepbots_cli.cli.starters.draft import yaml_name
@@ -16,11 +15,8 @@ from deepbots_cli.cli.webots import Starter
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import to_urdf
-from deepbots_webots.imports.draft import Controller, Quote, read_project, stated_number
+from deepbots_webots.imports.draft import Controller, Draft, DraftRobot, Quote, read_project, stated_number
 from deepbots_webots.imports.world import Names, plain, pose_text
-
-if TYPE_CHECKING:
-    from deepbots_webots.imports.draft import Draft, DraftRobot
 
 _UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
 _LONGEST = 140  # characters of a line of Python

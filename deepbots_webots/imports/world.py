@@ -9,32 +9,24 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from io import BytesIO
 from itertools import chain, count
 from math import hypot, inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from deepbots_cli import frames
+from deepbots_cli.frames import Frame
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
-from deepbots_webots.scene import ORIGIN
-from deepbots_webots.shapes import Grid, Mesh, Plane, inverse, kind_of, look_of, visible_shape
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from deepbots_cli.frames import Frame
-    from deepbots_webots.project import World
-    from deepbots_webots.scene import Body, Geometry, Inertia, Joint, Scene, Visual
-    from deepbots_webots.shapes import Shape
-    from deepbots_webots.syntax import Node, WorldFindings
-
+from deepbots_webots.project import World
+from deepbots_webots.scene import ORIGIN, Body, Geometry, Inertia, Joint, Scene, Visual
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, inverse, kind_of, look_of, visible_shape
+from deepbots_webots.syntax import Node, WorldFindings
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
 _RESERVED = _WORDS_OF_YAML | RESERVED

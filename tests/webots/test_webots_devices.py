@@ -435,6 +435,14 @@ FEELER = 'TouchSensor { type "%s" translation 0 0 -0.1 boundingObject Box { size
             id="a force sensor weighs",
         ),
         pytest.param(
+            robot("TouchSensor { lookupTable [ 0 1 0, 9 2 0.1 ] }"),
+            "touch sensor",
+            "getLookupTable",
+            0.008,
+            [0, 1, 0, 9, 2, 0.1],
+            id="a touch sensor has its table",
+        ),
+        pytest.param(
             """Solid { translation 2.05 0 0 boundingObject Box { size 0.1 9 9 } }
               Robot { children [ Lidar { numberOfLayers 1 horizontalResolution 3 minRange 2.1 maxRange 4 } ] }""",
             "lidar",
@@ -486,7 +494,7 @@ def test_a_message_needs_one_basic_step():
     assert (inbox.getBytes(), inbox.getData()) == (b"hello", b"hello")
     inbox.nextPacket()
     assert inbox.getQueueLength() == 0
-    with pytest.raises(RuntimeError, match=r"Receiver.getString: the queue of 'receiver' is empty"):
+    with pytest.raises(RuntimeError, match="the queue of the receiver 'receiver' is empty"):
         inbox.getString()
 
 

@@ -604,7 +604,6 @@ def warnings(text: str) -> list[str]:
 
 def test_a_world_is_a_tree_of_nodes_with_places():
     document = parse(Source("w.wbt", EXAMPLE))
-    assert document.release == "R2023b"
     assert [entry.type for entry in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
     assert [entry.name for entry in document.externs] == ["RectangleArena"]
     robot = document.nodes[-1]
