@@ -93,17 +93,20 @@ def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
 
 
 def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
-    steps, remarks = [], [*own.remarks]
+    steps, copies = [], []
     for step in own.steps:
         same = [*_same_elsewhere(lesson, step, own, marks)]
         if same:
-            reason = f"the same policy as {sentence_list(list(dict.fromkeys(text for text, _ in same)))}"
+            texts = [*dict.fromkeys(text for text, _ in same)]
+            others = [f"{len(texts) - 1} others"] if texts[2:] else texts[1:]
+            reason = f"the same policy as {sentence_list([texts[0], *others])}"
             if any(is_other for _, is_other in same):
-                reason += ", handed in for another reward or task: ask who trained it"
-                step = _without_policy(step, lesson.steps[step.step], reason)
-            remarks.append(f"{step.step}: {reason}")
+                other = "handed in for another reward or task: ask who trained it"
+                reason += f", {other}"
+                step = _without_policy(step, lesson.steps[step.step], f"the same policy was {other}")
+            copies.append(f"{step.step}: {reason}")
         steps.append(step)
-    return replace(own, steps=tuple(steps), remarks=tuple(remarks))
+    return replace(own, steps=tuple(steps), copies=tuple(copies))
 
 
 def _same_elsewhere(

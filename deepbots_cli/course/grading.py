@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import html
 import json
+import os
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import date
 from itertools import count, islice
@@ -58,13 +60,15 @@ TRAINING_LIMITS = Limits(cpu=900)
 
 @dataclass(frozen=True)
 class Marks:
-    """The marks of a student. `refused` is the reason why nothing was marked."""
+    """The marks of a student. `refused` is the reason why nothing was marked, and `copies` are remarks for the
+    teacher, which name other students."""
 
     student: str
     lesson: str
     steps: tuple[StepMark, ...]
     remarks: tuple[str, ...] = ()
     refused: str = ""
+    copies: tuple[str, ...] = ()
 
     @property
     def points(self) -> int:
@@ -93,6 +97,16 @@ class Marks:
         every = (*((self.refused,) if self.refused else ()), *self.remarks, *own)
         return tuple(dict.fromkeys(map(_readable, every)))
 
+    @property
+    def for_teacher(self) -> tuple[str, ...]:
+        """All remarks, those about other students, and the reasons for steps that earn nothing."""
+        lost = (
+            _readable(f"{step.step}: {step.common_reason}")
+            for step in self.steps
+            if step.common_reason and not self.refused
+        )
+        return tuple(dict.fromkeys((*self.copies, *self.all_remarks, *lost)))
+
     def data(self) -> dict[str, Any]:
         """Return the marks as JSON."""
         steps = [
@@ -105,7 +119,7 @@ class Marks:
             "points": None if self.is_open else self.points,
             "of": self.of,
             "steps": steps,
-            "remarks": list(self.all_remarks),
+            "remarks": [*self.copies, *self.all_remarks],
         }
 
 
@@ -214,7 +228,7 @@ def _mark_one(
                 str(error) if isinstance(error, HandInError) else f"it is damaged ({type(error).__name__})"
             )
             steps = (unfinished(step, content, reason) for step, content in lesson.steps.items())
-            return Marks(student, lesson.name, tuple(steps), (), f"not marked: {reason}")
+            return Marks(student, lesson.name, tuple(steps), (), f"nothing is marked: {reason}")
         request = {"lesson": str(lesson.folder.resolve()), "folder": str(hand_in.folder), "work": str(work)}
         marks = [
             _mark_step(lesson, step, {**request, **options, "step": step}, limits, stop)
@@ -273,11 +287,11 @@ def _mark_step(
 
 def _size(folder: Path) -> int:
     total = 0
-    for path in folder.rglob("*"):
-        try:
-            total += path.lstat().st_size
-        except OSError:  # a file that the process removed meanwhile
-            continue
+    # `rglob` fails if the process removes a folder meanwhile, and `walk` does not.
+    for place, _, names in os.walk(folder):
+        for name in names:
+            with suppress(OSError):  # a file that it removed
+                total += Path(place, name).lstat().st_size
     return total
 
 
@@ -290,7 +304,7 @@ def row_of(marks: Marks) -> dict[str, object]:
         "student": marks.student,
         "points": marks.score,
         **{step.step: step.score.replace(" of ", "/") for step in marks.steps},
-        "remarks": "; ".join(marks.all_remarks),
+        "remarks": "; ".join(marks.for_teacher),
     }
 
 
@@ -302,7 +316,7 @@ def as_csv(marks: Iterable[Marks]) -> str:
             "points": "" if student_marks.is_open else student_marks.points,
             "of": student_marks.of,
             **{step.step: "" if step.is_open else step.points for step in student_marks.steps},
-            "remarks": "; ".join(student_marks.all_remarks),
+            "remarks": "; ".join(student_marks.for_teacher),
         }
         for student_marks in marks
     ]

@@ -31,6 +31,7 @@ from deepbots_cli.course.lessons import (
 from deepbots_cli.document import MappingNode, Node, ScalarNode, to_data, walk
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.errors import UsageError
+from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.files import read_at_most
 from deepbots_cli.records import dataclass
 
@@ -269,11 +270,14 @@ def _check_part(path: str, part: Node, step: Step) -> None:
         if key is not None:
             raise HandInError(f"`{key}` may not stand in `{path}` ({node.span.location})")
         if isinstance(node, ScalarNode):
-            for word in step.forbidden:
-                if _mentions(node.text, word) or any(_mentions(str(key), word) for key in inner):
-                    raise HandInError(
-                        f"`{word}` may not be used in `{path}` ({node.span.location}): this step does not allow it"
-                    )
+            texts = (node.text, *map(str, inner))
+            words = [word for word in step.forbidden if any(_mentions(text, word) for text in texts)]
+            names = _names(node.text) if step.allowed else ()
+            words += [word for word in names if not {word, word.split(".")[0]} & {*step.allowed}]
+            if words:
+                raise HandInError(
+                    f"`{words[0]}` may not be used in `{path}` ({node.span.location}): this step does not allow it"
+                )
         if step.only and len(inner) == 1 and inner[0] not in step.only:
             allowed = ", ".join(f"`{name}`" for name in step.only)
             raise HandInError(
@@ -293,6 +297,16 @@ def _mentions(text: str, word: str) -> bool:
     return re.search(rf"(?<!\w)(?<!\w\.){re.escape(word)}(?!\w)", text) is not None
 
 
+def _names(text: str) -> list[str]:
+    """Return the names and functions in an expression; none for another text."""
+    tree = parser.parse(text, lambda *_, **__: None) if text.strip() else None
+    nodes = [] if tree is None else [tree]
+    for node in nodes:  # grows meanwhile
+        nodes += syntax.children(node)
+    named = (node for node in nodes if isinstance(node, syntax.Name | syntax.Call))
+    return [node.dotted if isinstance(node, syntax.Name) else node.function for node in named]
+
+
 def _without_effect(file: str, root: MappingNode, started: MappingNode | None, step: Step) -> Iterator[str]:
     """Yield a remark for each section that the student changed though the task has its own."""
     if started is None:
@@ -300,9 +314,8 @@ def _without_effect(file: str, root: MappingNode, started: MappingNode | None, s
     own, before = settings_of(to_data(root)), settings_of(to_data(started))
     paths = sorted(path for path in own.keys() | before.keys() if own.get(path) != before.get(path))
     foreign = [path for path in paths if not is_in_parts(path, step.parts)]
-    names = sorted({path.split(".")[0] for path in foreign})
-    if names:
-        listed = ", ".join(f"`{name}`" for name in names[:5])
+    if foreign:
+        listed = ", ".join(f"`{path}`" for path in foreign[:5])
         yield f"changes of {listed} in {file} have no effect on the marks"
 
 

@@ -117,6 +117,7 @@ class Step(_Part):
         teacher: Whether the run may have learned from a teacher, a recording or another policy.
         forbidden: Names that no expression of the parts may use, such as the position that the robot cannot
             know.
+        allowed: The names and functions that expressions of the parts may use; all, if empty.
         checks: What is marked.
         hints: Hints, each of which leads further than the one before.
     """
@@ -128,6 +129,7 @@ class Step(_Part):
     sensors: tuple[str, ...] | None = None
     teacher: bool = False
     forbidden: tuple[str, ...] = ()
+    allowed: tuple[str, ...] = ()
     checks: tuple[Check, ...] = Field(min_length=1)
     hints: tuple[Text, ...] = ()
 

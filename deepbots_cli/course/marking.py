@@ -9,8 +9,9 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -72,6 +73,8 @@ class CheckMark:
     of: int
     reason: str = ""
     is_open: bool = False
+    measured: float | None = None
+    """The success rate or mean return of a policy."""
 
     @property
     def score(self) -> str:
@@ -185,7 +188,7 @@ class Marker:
         written = read_step(self.folder, name, step, self.lesson.folder / START)
         self.remarks += written.remarks
         if not written.is_changed and not self.takes_unchanged:
-            raise HandInError(UNCHANGED)
+            raise HandInError("; ".join((UNCHANGED, *self._own_errors(name))))
         project = self.work / name
         for folder in (START, CHECKS):
             shutil.copytree(self.lesson.folder / folder, project / folder)
@@ -215,9 +218,17 @@ class Marker:
         engine = chosen(compiled.program.engine)
         return StepMark(name, checks, remarks, policy.weights, tuple(policy.models), written.digest, engine)
 
-    def _finding(self, name: str, finding: Finding) -> str:
+    def _own_errors(self, name: str) -> Iterator[str]:
+        """Yield the first error in the file of a step whose parts are as in `start`: a sensor that is indented
+        too little is no part."""
+        own = self.folder / f"{name}.yaml"
+        if own.read_bytes() != (self.lesson.folder / START / own.name).read_bytes():
+            errors = (finding for finding in api.load(own).findings if finding.severity == "error")
+            yield from (self._finding(name, error, is_of_student=True) for error in islice(errors, 1))
+
+    def _finding(self, name: str, finding: Finding, *, is_of_student: bool = False) -> str:
         position = finding.span.start_position
-        is_of_student = HANDED_IN in Path(finding.span.source.name).parts
+        is_of_student = is_of_student or HANDED_IN in Path(finding.span.source.name).parts
         place = f":{position.line}:{position.column}" if is_of_student else " lacks what the test needs"
         help = f"; {finding.help}" if finding.help else ""
         return f"{name}.yaml{place}: {finding.headline} ({finding.code}){help}"
@@ -267,7 +278,9 @@ class Marker:
     def _answered(self, check: Check, answers: dict[str, Any]) -> CheckMark:
         node = answers.get(check.answer or "")
         if not isinstance(node, ScalarNode) or node.value is None or not node.text.strip():
-            reason = f"there is no answer in {ANSWERS_NAME}: write it after `{check.answer}:` and a space"
+            reason = (
+                f"there is no answer in {ANSWERS_NAME}: write one value after `{check.answer}:` and a space"
+            )
             return CheckMark(check.says, 0, check.points, reason)
         if any(is_right(node.text, expected) for expected in check.right):
             return CheckMark(check.says, check.points, check.points)
@@ -381,7 +394,7 @@ class _Policy:
                     self.marker.remarks.append(
                         f"{self.name}: {near}: {between}; another seed may give other points"
                     )
-        return CheckMark(check.says, points, check.points, text)
+        return CheckMark(check.says, points, check.points, text, measured=measured)
 
     def _handed_in(self) -> Run:
         """Return the newest run of the step.
@@ -389,6 +402,7 @@ class _Policy:
         Raises:
             HandInError: There is none, or it was trained in another way than the lesson asks for.
         """
+        from deepbots_cli.course.evidence import unexplained
         from deepbots_cli.learning.runs.run import Run
 
         folder = self.marker.folder / "runs"
@@ -426,6 +440,10 @@ class _Policy:
             raise HandInError(
                 f"{newest.name} learned from `{source}`, which this step does not allow; train it with {command}"
             )
+        if reason := unexplained(run):
+            reason = f"the training of {newest.name} does not explain its policy: {reason}"
+            self.marker.remarks.append(f"{self.name}: {reason}")
+            raise HandInError(f"{reason}; go on with `deepbots resume runs/{newest.name}`, or train again")
         return run
 
     def _changed(self, run: Run) -> list[str]:

@@ -126,7 +126,8 @@ def prove(
     workers: int = 1,
     on_marks: Callable[[Marks, int], object] = lambda marks, done: None,
 ) -> Iterator[Proven]:
-    """Yield what each starter, solution, half solution and cheat earns.
+    """Yield what each starter, solution, half solution and cheat earns. If the starter or the solution has
+    other points than it must, that of the others means nothing, and cheats are not tried.
 
     Args:
         lesson: The lesson.
@@ -148,6 +149,8 @@ def prove(
     yield _proven(
         SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}{without}"
     )
+    if marks[START].points or marks[SOLUTION].points != full:
+        return
     before = 0
     for name, _ in folders[2:]:
         points = marks[name].points
@@ -217,10 +220,10 @@ def _policy_points(lesson: Lesson) -> int:
 
 
 def _proven(tried: str, marks: Marks, is_right: bool, expected: str) -> Proven:
-    reasons = (
+    reasons = dict.fromkeys(
         f"{step.step}: {check.reason}"
         for step in marks.steps
         for check in step.checks
         if check.points < check.of and check.reason != UNCHANGED
     )
-    return Proven(tried, marks.points, marks.of, is_right, expected, next(reasons, ""))
+    return Proven(tried, marks.points, marks.of, is_right, expected, "; ".join(reasons))

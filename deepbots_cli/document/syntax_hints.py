@@ -251,6 +251,11 @@ def _brackets(problem: _Problem) -> Finding | None:
         help = f'put the value in quotes: "{hidden[1]}"'
         return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
     character = text[problem.at : problem.at + 1]
+    if text.startswith("- ", problem.at) and opening >= problem.line_start:
+        space = Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 2), ""),), safe=False)
+        return problem.finding(
+            "a `-` before a space begins a list", "remove the space after `-`", problem.at, fix=space
+        )
     missing = _missing_comma(problem, opening)
     if character == ":" and opening >= problem.line_start:
         return missing or _second_colon(problem, "separate keys by commas, or put the value in quotes")

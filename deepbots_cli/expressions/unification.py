@@ -58,7 +58,7 @@ WHOLE_TEXT = Replacement(CORRECTED_LINE, safe=False)
 """The replacement of the whole text of an expression by the right one."""
 WHEEL_RADIUS = "RADIUS"
 """What stands for the radius of the wheel, which this check does not know."""
-_HAND = 10.0
+_HAND = 1.0
 """The number of meters from which a length without a unit may be in cm or mm."""
 
 

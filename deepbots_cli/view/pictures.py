@@ -77,14 +77,18 @@ class Viewpoint:
         )
 
     def now(self, player: Player, usual: View) -> View:
-        """Return the view of the newest frame, given the one of the whole scene.
+        """Return the view of the newest frame, given the one of the whole scene. From an `eye` without a
+        `target`, it looks at the first robot.
 
         Raises:
             UsageError: There is no robot to follow of this name.
         """
-        if self.follow is None:
-            return self.view(usual)
         robots = {robot.name: robot for robot in player.env.world.robots}
+        if self.follow is None:
+            first = next(iter(robots.values()), None)
+            if first is None or self.eye is None:
+                return self.view(usual)
+            return self.view(replace(usual, target=player.frame.links[first.name, first.model.root][0]))
         if self.follow not in robots:
             raise UsageError(f"--follow: there is no robot '{self.follow}'; there is {', '.join(robots)}")
         model = robots[self.follow].model

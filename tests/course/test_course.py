@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import re
 import shutil
 import signal
 import stat
@@ -23,7 +24,7 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.course.copies import Weights, without_copies
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of
-from deepbots_cli.course.hand_ins import HandInError, collect
+from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
 from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
 from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right
 from deepbots_cli.course.proof import CHEATS, prove
@@ -182,6 +183,50 @@ def test_a_part_that_no_part_may_be_earns_nothing(
     assert reason in mark.checks[0].reason
 
 
+def test_a_lesson_may_name_what_its_parts_use(lesson: Lesson, tmp_path: Path) -> None:
+    text = LESSON.replace("forbidden: [velocity]", "allowed: [x, delta, position, cart]")
+    put(tmp_path / "lesson", lesson=text)
+    for name in ("start", "checks"):
+        shutil.copytree(lesson.folder / name, tmp_path / "lesson" / name)
+    earned = {}
+    for number, reward in enumerate(("delta(x)", "ground_distance(cart, cart)")):
+        own = put(tmp_path / str(number), mend=STEP.replace("delta(x)", reward) % "1")
+        marker = Marker(read_lesson(tmp_path / "lesson"), own, tmp_path / f"work{number}")
+        mark = marker.mark("mend")
+        earned[reward] = mark.points, mark.checks[0].reason[:17]
+    assert earned == {"delta(x)": (3, ""), "ground_distance(cart, cart)": (0, "`ground_distance`")}
+
+
+def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Path) -> None:
+    text = SENSE.replace("name: Own", "extends: cartpole\nname: Own") % "{}"
+    put(tmp_path / "own", sense=text + "    angle: {type: joint_position, joint: pole_hinge}\n")
+    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("sense")
+    assert mark.points == 0
+    assert mark.checks[0].reason.startswith("not changed yet; sense.yaml:7:5: ")
+
+
+@pytest.mark.parametrize("lesson", shipped_lessons(), ids=lambda lesson: lesson.name)
+def test_a_sentence_of_a_failed_check_has_only_values_that_its_test_compares(
+    lesson: Lesson, tmp_path: Path
+) -> None:
+    for name, step in lesson.steps.items():
+        tests = [check for check in step.checks if check.fails]
+        if not tests:
+            continue
+        solution = lesson.folder / "solution"
+        for folder in ("start", "checks"):
+            shutil.copytree(lesson.folder / folder, tmp_path / name / folder)
+        (tmp_path / name / "deepbots.toml").touch()
+        written = read_step(solution, name, step, lesson.folder / "start")
+        write_parts(written, step, solution, tmp_path / name / "checks")
+        compiled = api.load(tmp_path / name / "checks" / f"{name}.yaml", tests=True)
+        by_name = {test.name: test for test in compiled.tests}
+        for check in tests:
+            for expected in by_name[check.test or ""].expected:
+                used = set(re.findall(r"{(.*?)}", check.fails.get(expected.key, "")))
+                assert used <= {"measured", *(value.text for value in expected.compared)}, check.says
+
+
 def test_what_the_task_has_itself_is_without_effect_and_named(lesson: Lesson, tmp_path: Path) -> None:
     softened = (
         STEP % "-1" + "truncation: {max_steps: 1}\ntests: {pays: {driver: zero}}\nextends: pit_escape\n"
@@ -190,7 +235,7 @@ def test_what_the_task_has_itself_is_without_effect_and_named(lesson: Lesson, tm
     mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("mend")
     assert mark.points == 0
     assert mark.remarks == (
-        "changes of `extends`, `tests`, `truncation` in mend.yaml have no effect on the marks",
+        "changes of `extends`, `tests.pays`, `truncation.max_steps` in mend.yaml have no effect on the marks",
     )
 
 
@@ -319,7 +364,7 @@ def test_a_step_beyond_its_limits_keeps_the_checks_that_were_finished(slow: Less
     marks = grade(slow, hand_ins, limits=Limits(cpu=4))
     assert [[step.points for step in one.steps] for one in marks] == [[3, 2, 2], [0, 0, 0]]
     assert marks[0].steps[1].checks[1].reason == "it took more than 4 s of CPU time"
-    assert marks[1].refused == "not marked: it does not exist"
+    assert marks[1].refused == "nothing is marked: it does not exist"
 
 
 def test_a_step_that_a_busy_machine_did_not_mark_is_no_zero(slow: Lesson) -> None:
@@ -393,18 +438,19 @@ def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_o
     ]
     judged = without_copies(lesson_named("reward"), class_marks)
     assert [one.points for one in judged] == [3, 3, 5, 5, 3, 1, 5, 5]
-    assert [one.all_remarks[0] for one in judged[:3]] == [
+    assert [one.copies[0] for one in judged[:3]] == [
         "complete: the same policy as complete-0-1/best.zip of bob, handed in for another reward or task: ask who"
         " trained it",
         "complete: the same policy as complete-0-1/best.zip of ada, handed in for another reward or task: ask who"
         " trained it",
         "complete: the same policy as complete-0-1/best.zip of kim",
     ]
+    assert "bob" not in as_page(lesson_named("reward"), judged[0], 0)
     step = class_marks[0].steps[0]
     refused = replace(step, checks=tuple(replace(check, points=0) for check in step.checks))
     copied = [replace(class_marks[0], steps=(refused,)), class_marks[1]]
     assert [one.points for one in without_copies(lesson_named("reward"), copied)] == [0, 5]
-    assert judged[6].all_remarks == ("complete: the same policy as complete-0-1/step.zip of kim",)
+    assert judged[6].copies == ("complete: the same policy as complete-0-1/step.zip of kim",)
 
 
 POLICY_LESSON = """
@@ -440,7 +486,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         put(folder / "own", **{name: DRIVE % (reward, limit)})
     put(folder / "lesson", lesson=POLICY_LESSON)
     compiled = api.compile(folder / "own" / "drive.yaml")
-    train(compiled, run=folder / "own" / "runs" / "drive-0-1", total_timesteps=64)
+    train(compiled, run=folder / "own" / "runs" / "drive-0-1", total_timesteps=1024)
     return folder
 
 
@@ -466,6 +512,37 @@ def test_a_run_earns_points_if_it_was_trained_with_what_is_handed_in(trained: Pa
     assert changed.checks[0].reason.startswith(
         "drive-0-1 was trained in another task than this step: `reward.alive` differs"
     )
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "reason"),
+    [
+        (
+            "models/agent/best.zip",
+            b'"num_timesteps": ',
+            b'"num_timesteps": 9',
+            "the training has no evaluation",
+        ),
+        ("evaluations/training.jsonl", b'"returns": [', b'"returns": [500.0, ', "episodes of its evaluation"),
+        ("evaluations/training.jsonl", b'"returns": [', b'"lost": [', "one of its logs cannot be read"),
+    ],
+)
+def test_a_policy_that_its_training_does_not_explain_earns_nothing(
+    trained: Path, tmp_path: Path, file: str, old: bytes, new: bytes, reason: str
+) -> None:
+    shutil.copytree(trained / "own", tmp_path / "own")
+    path = tmp_path / "own" / "runs" / "drive-0-1" / file
+    if path.suffix == ".zip":
+        with zipfile.ZipFile(path) as archive:
+            members = {name: archive.read(name) for name in archive.namelist()}
+        with zipfile.ZipFile(path, "w") as out:
+            for name, content in members.items():
+                out.writestr(name, content.replace(old, new))
+    else:
+        path.write_bytes(path.read_bytes().replace(old, new))
+    mark = Marker(read_lesson(trained / "lesson"), tmp_path / "own", tmp_path / "work").mark("drive")
+    assert mark.points == 0
+    assert reason in mark.checks[0].reason
 
 
 def test_a_run_of_another_step_earns_nothing(trained: Path, tmp_path: Path) -> None:

@@ -648,6 +648,15 @@ def test_a_followed_robot_stays_in_the_middle_and_large(tmp_path):
         Viewpoint(follow="dog").now(player, whole)
 
 
+def test_a_camera_that_is_placed_without_a_target_looks_at_the_robot():
+    with closing(Player(Showing("find_ball").open(), "around")) as player:
+        *_, frame = player.episode(0, 0, 0)
+        robot = player.env.world.robots[0]
+        placed = Viewpoint(eye=(0.4, -0.2, 0.3)).now(player, player.view(160, 120))
+        assert placed.eye == (0.4, -0.2, 0.3)
+        assert placed.target == frame.links[robot.name, robot.model.root][0]
+
+
 @pytest.mark.parametrize("suffix", [pytest.param(".gif", marks=pytest.mark.slow), ".mp4"])
 def test_a_clip_can_be_read_and_moves(tmp_path, suffix):
     out = tmp_path / f"clip{suffix}"

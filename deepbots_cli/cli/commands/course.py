@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import date
 from enum import StrEnum
 from pathlib import Path
 from shlex import quote
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from deepbots_cli import __version__
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import available_cores
 from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Force, Json, Workers, integer, option
@@ -173,7 +175,8 @@ def _lines(lesson: Lesson, marks: Marks) -> list[str]:
                 lines.append(f"           {check.reason}")
         if step.common_reason:
             lines.append(f"           {step.common_reason}")
-    lines += ["", *(f"  note: {remark}" for remark in marks.all_remarks)] if marks.all_remarks else []
+    remarks = (*marks.copies, *marks.all_remarks)
+    lines += ["", *(f"  note: {remark}" for remark in remarks)] if remarks else []
     return lines
 
 
@@ -206,15 +209,20 @@ def _next(folder: Path, into: Path | None) -> None:
 
 def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
     from deepbots_cli.course.lessons import HALF, lesson_named, read_lesson
-    from deepbots_cli.course.proof import CHEATS, prove
+    from deepbots_cli.course.proof import CHEATS, Proven, prove
 
     lesson = read_lesson(Path(name)) if Path(name).is_dir() else lesson_named(name)
     total = (
         len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
     )  # start, solution, and one to cheat with
     with terminal.progress("hand-ins", always=False) as show:
+        proven: list[Proven] = []
+        is_complete = True
         marked = prove(lesson, train=train, workers=workers, on_marks=lambda _, done: show(done, total))
-        proven = list(marked)
+        try:
+            proven.extend(marked)
+        except KeyboardInterrupt:
+            is_complete = False
     rows = [
         {
             "hand-in": one.tried,
@@ -226,9 +234,18 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
         for one in proven
     ]
     wrong = sum(not one.is_right for one in proven)
-    verdict = "the lesson is proven" if not wrong else f"{counted(wrong, 'hand-in')} earned the wrong points"
+    verdict = "the lesson is proven" if train else "the lesson is proven without the checks of policies"
+    if wrong:
+        verdict = (
+            f"{counted(wrong, 'hand-in')} earned the wrong points; cheats are tried once start and solution"
+            " earn the right ones"
+        )
+    if not is_complete:
+        verdict = f"interrupted after {counted(len(proven), 'hand-in')}"
     verdict += f"; {sum(os.times()[:4]):.0f} s of CPU time"
     terminal.show([vars(one) for one in proven], table(rows, is_prose=True), "", verdict, as_json=as_json)
+    if not is_complete:
+        raise typer.Exit(INTERRUPTED)
     if wrong:
         raise typer.Exit(FAILED)
 
@@ -286,7 +303,7 @@ def command_grade(
     def save(marks: list[Marks]) -> None:
         if csv is not None and marks:
             with atomic_write(csv) as draft:
-                draft.write_text(as_csv(marks), encoding="utf-8")
+                draft.write_text(as_csv(marks), encoding="utf-8-sig")
 
     with terminal.progress("hand-ins", always=False) as show:
 
@@ -311,7 +328,8 @@ def command_grade(
     lines += (
         _lines(lesson, marks[0])[1:] if len(marks) == 1 else [table([*map(row_of, marks)], is_prose=True)]
     )
-    terminal.show([one.data() for one in marks], *lines, as_json=as_json)
+    about = {"seed": seed, "date": str(date.today()), "version": __version__}
+    terminal.show([{**one.data(), **about} for one in marks], *lines, as_json=as_json)
     save(marks)
     if html is not None:
         html.mkdir(parents=True, exist_ok=True)

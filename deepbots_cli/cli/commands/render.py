@@ -196,7 +196,13 @@ def command(
         ),
     ] = None,
     target: Annotated[
-        Any, option("--at X,Y,Z", "Point in m that the camera looks at.", _CAMERA, parser=point)
+        Any,
+        option(
+            "--at X,Y,Z",
+            "Point in m that the camera looks at; with --from, by default the first robot.",
+            _CAMERA,
+            parser=point,
+        ),
     ] = None,
     follow: Annotated[
         str | None,
