@@ -306,8 +306,8 @@ _CONTAINER_RECORDS = (
     Network,
 )
 """The records that only contain other records; their class is not compared."""
-_JOINT_STATE = re.compile(r"joint_starts/[^/]+/states/[^/]+$")
-_NAME = re.compile(r"[a-z_][a-z0-9_]*")
+_JOINT_STATE = r"joint_starts/[^/]+/states/[^/]+$"
+_NAME = r"[a-z_][a-z0-9_]*"
 _MAX_LISTED = 3
 
 
@@ -471,7 +471,7 @@ def _altered_names(
     met = set(excluded)
     waiting = [text]
     while waiting:
-        names = [name for name in dict.fromkeys(_NAME.findall(waiting.pop(0))) if name not in met]
+        names = [name for name in dict.fromkeys(re.findall(_NAME, waiting.pop(0))) if name not in met]
         met |= {*names}
         for name in names:
             for called, before, after in _definitions(name, first, second):
@@ -641,7 +641,7 @@ def _leaves(value: Any, path: str) -> Iterator[tuple[str, str]]:
 
 def _keyed(entries: tuple[Any, ...], path: str) -> list[tuple[str, Any]]:
     """Return the entries of a list with their names where they have one, or with axis or position."""
-    if _JOINT_STATE.search(path):
+    if re.search(_JOINT_STATE, path):
         return [*zip(("position", "velocity"), entries[1:], strict=True)]
     axes = _AXES.get(path.rpartition("/")[2], ())
     if len(entries) == len(axes):

@@ -154,7 +154,7 @@ class DefinitionAnalysis:
     def resolve_aliases(self, node: Scalar) -> Scalar:
         """Return the definition of a name, through names that only rename; any other tree is returned as it
         is."""
-        for _ in range(len(self._defined) + 1):
+        for _ in range(len(self._defined) + 1) if isinstance(node, Name) else ():
             definition = self.definition(node) if isinstance(node, Name) else None
             if definition is None:
                 break
@@ -275,8 +275,8 @@ class DefinitionAnalysis:
         waiting = [node]
         while waiting:
             node = self.resolve_aliases(waiting.pop())
-            if self.identity(node) not in met:
-                met.add(self.identity(node))
+            if (identity := self.identity(node)) not in met:
+                met.add(identity)
                 yield node
                 waiting += parts(node)
 
@@ -287,9 +287,9 @@ class DefinitionAnalysis:
         waiting = list(conditions)
         while waiting and len(met) < limit:
             node = self.resolve_aliases(waiting.pop())
-            if self.identity(node) in met:
+            if (identity := self.identity(node)) in met:
                 continue
-            met.add(self.identity(node))
+            met.add(identity)
             if isinstance(node, Op) and node.op == "and":
                 waiting += node.args
             else:

@@ -15,7 +15,7 @@ from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, 
 from deepbots_cli.expressions.dimensions import Unit
 from deepbots_cli.expressions.text import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
 
-_NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*")
+_NAME = r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*"
 _DEFINITIONS = ("parameters", "signals", "augment")
 _RANGES = ("observation", "action")
 _GOALS = ("goal", "achieved", "desired")
@@ -39,7 +39,7 @@ class ShownUnits:
         them. An angle whose texts have no unit is shown in the unit that the file uses most for angles.
         Anything else has its usual unit.
         """
-        names = [name for text in texts for name in _NAME.findall(text[:MAX_TEXT])]
+        names = [name for text in texts for name in re.findall(_NAME, text[:MAX_TEXT])]
         definitions = [text_at(self._root, section, name) for name in names for section in _DEFINITIONS]
         return written_unit(unit, *texts, *definitions) or self._of_angles.get(unit) or self._usual(unit)
 

@@ -224,7 +224,7 @@ def report_motionless_joint(
 
 # Limits of the robot file
 
-_NUMBER = re.compile(r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?")
+_NUMBER = r"[-+]?[0-9.][0-9_.]*(?:[eE][-+]?[0-9]+)?"
 _DIGITS = 4
 
 
@@ -273,7 +273,7 @@ def _clamping_fix(text: SourceText, numbers: list[syntax.Number], allowed: Inter
         return None
     edits = []
     for number, value in zip(numbers, values, strict=True):
-        match = _NUMBER.match(text.text, number.start)
+        match = re.compile(_NUMBER).match(text.text, number.start)
         if match is None:
             return None
         span = text.part(*match.span())

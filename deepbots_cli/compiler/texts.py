@@ -36,13 +36,13 @@ from deepbots_cli.scenario.documentation import term_help, word_for
 from deepbots_cli.scenario.fields import RESERVED, FieldType
 from deepbots_cli.scenario.quantities import Quantity
 
-_HIDDEN = re.compile(r"[ \t]+(#[^\n]*\))")
+_HIDDEN = r"[ \t]+(#[^\n]*\))"
 """The comment behind a value on its line, if it contains a closing parenthesis."""
 _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
-_WORD = re.compile(r"[A-Za-z_]\w*")
-_LEADING_NUMBER = re.compile(r"[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])", re.IGNORECASE)
-_COPY = re.compile(r"#\d")
+_WORD = r"[A-Za-z_]\w*"
+_LEADING_NUMBER = r"(?i)[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])"
+_COPY = r"#\d"
 
 
 class SourceText(NamedTuple):
@@ -133,11 +133,11 @@ class TextFindings:
             if (
                 code == "DB401"
                 and (help is None or is_insertion)
-                and (hidden := _HIDDEN.match(span.source.text, text.part(0, len(text.text)).end))
+                and (hidden := re.compile(_HIDDEN).match(span.source.text, text.part(0, len(text.text)).end))
             ):
                 help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
                 replacement = None
-                help += f"; {parser.COPIES_HELP}" if _COPY.search(hidden[1]) else ""
+                help += f"; {parser.COPIES_HELP}" if re.search(_COPY, hidden[1]) else ""
             if code == "DB402" and "_" in piece:
                 help = term_help(piece) or help
             word = self._word_replacement(text, piece) if code == "DB402" else None
@@ -171,7 +171,7 @@ class TextFindings:
         node = descend(self._root, path)[0]
         if replacement is None or not isinstance(node, ScalarNode):
             return None
-        number = _LEADING_NUMBER.match(node.text)
+        number = re.match(_LEADING_NUMBER, node.text)
         if number is None or float(number[0]) != float(replacement.split()[0]):
             return None
         has_unit = number[0].strip() != node.text.strip()
@@ -183,7 +183,7 @@ class TextFindings:
     def _use_counts(self) -> Counter[str]:
         """How often each word is in the values of the document."""
         texts = [node.text for _, node in walk(self._root) if isinstance(node, ScalarNode)]
-        return Counter(word for text in texts for word in _WORD.findall(text))
+        return Counter(word for text in texts for word in re.findall(_WORD, text))
 
     @staticmethod
     def _word_replacement(text: SourceText, piece: str) -> str | None:

@@ -382,7 +382,7 @@ def _rgba(word: str) -> Color:
     return (*COLORS[word], 1.0)
 
 
-_KEY_BEFORE = re.compile(r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$")
+_KEY_BEFORE = r"(?<![\w.])([\w.]+)['\"]?\s*:\s*$"
 _DEFINED_UNDER = {
     "case": "evaluation.cases",
     "stage": "curriculum",
@@ -412,7 +412,9 @@ def invalid_names(root: MappingNode, pruned: Iterable[NodePath], spans: Iterable
             if path[-1:] and path[-1] in _NAME_SECTIONS and not isinstance(node, MappingNode):
                 names.add(ANY_NAME)
     for span in spans:
-        before = _KEY_BEFORE.search(span.source.text, max(0, span.start - _MAX_KEY_DISTANCE), span.start)
+        before = re.compile(_KEY_BEFORE).search(
+            span.source.text, max(0, span.start - _MAX_KEY_DISTANCE), span.start
+        )
         names.update([before[1]] if before else [])
         names.update([span.text] if span.end - span.start < _MAX_KEY_DISTANCE else [])
     return names

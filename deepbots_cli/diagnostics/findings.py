@@ -302,11 +302,11 @@ _COMMENT = re.compile(
     r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE
 )
 # Possessive: a line of 1 MiB may hold thousands of comments.
-_BLANK_TO_LINE_END = re.compile(r"[^\S\n]*+(?=\n|\Z)")
+_BLANK_TO_LINE_END = r"[^\S\n]*+(?=\n|\Z)"
 # No group is possessive: Python before 3.11.5 does not go back where one fails.
 _IN_COMMENT = r"[^\n-]*+(?:-(?!->)[^\n-]*+)*"
-_COMMENTS_TO_LINE_END = re.compile(rf"{_IN_COMMENT}(?:-->(?:[ \t]|<!--{_IN_COMMENT}-->)*)?\r?$", re.MULTILINE)
-_CODE = re.compile(r"[^\s,]+")
+_COMMENTS_TO_LINE_END = rf"(?m){_IN_COMMENT}(?:-->(?:[ \t]|<!--{_IN_COMMENT}-->)*)?\r?$"
+_CODE = r"[^\s,]+"
 _MAX_CODES = 1000
 """The maximum number of codes that are read in one file; a file of 1 MiB may have tens of thousands."""
 
@@ -462,10 +462,14 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
         alone = (
             line != before
             and not source.text[comment.start() - column + 1 : comment.start()].strip()
-            and (comment[0][0] != "<" or _COMMENTS_TO_LINE_END.match(source.text, comment.end()))
+            and (comment[0][0] != "<" or re.compile(_COMMENTS_TO_LINE_END).match(source.text, comment.end()))
         )
         before = line
-        codes = list(islice(_CODE.finditer(source.text, *comment.span(1)), _MAX_CODES)) if comment[1] else []
+        codes = (
+            list(islice(re.compile(_CODE).finditer(source.text, *comment.span(1)), _MAX_CODES))
+            if comment[1]
+            else []
+        )
         if not codes:
             span = Span(source, *comment.span())
             yield Finding(
@@ -521,7 +525,7 @@ def _removal(source: Source, comment: re.Match[str], others: list[str]) -> Edit:
     behind it."""
     if others:
         return Edit(Span(source, *comment.span(1)), ", ".join(others))
-    rest = _BLANK_TO_LINE_END.match(source.text, comment.end())
+    rest = re.compile(_BLANK_TO_LINE_END).match(source.text, comment.end())
     if comment[0].startswith("<") or rest is None:
         return Edit(Span(source, *comment.span()), comment[0][: comment[0].index("deepbots")].rstrip())
     line_start = source.text.rfind("\n", 0, comment.start()) + 1

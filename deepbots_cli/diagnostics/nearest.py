@@ -122,17 +122,17 @@ MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "std", "Math"})
 """Modules through which other languages call functions that have no prefix here."""
 
 _GROUP = r"[^()]*(?:\([^()]*\)[^()]*)*"
-_IF = re.compile(
+_IF = (
     rf"\s*if\s*(?:\((?P<group>{_GROUP})\)|(?P<open>[^:{{}}]+?)(?=\s*(?::|\bthen\b)))\s*(?::|\bthen\b)?\s*"
     r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
     r"(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
 )
 _SIDE = r"(?:[^?:()]|\((?:[^?:()]|\([^?:()]*\))*\))+?"
-_TERNARY = re.compile(
+_TERNARY = (
     rf"\s*(?P<left>\()?\s*(?P<open>{_SIDE})\s*\?\s*(?P<value>{_SIDE})\s*:\s*(?P<otherwise>{_SIDE})\s*"
     r"(?P<right>(?(left)\)))\s*"
 )
-_BARS = re.compile(r"\|([^|]+)\|")
+_BARS = r"\|([^|]+)\|"
 _MAX_FOREIGN = 200
 
 
@@ -141,7 +141,7 @@ def as_conditional(text: str) -> str | None:
     text."""
     if len(text) > _MAX_FOREIGN:
         return None
-    match = _IF.fullmatch(text) or _TERNARY.fullmatch(text)
+    match = re.fullmatch(_IF, text) or re.fullmatch(_TERNARY, text)
     if match is None:
         return None
     condition = match.groupdict().get("group") or match["open"]
@@ -151,9 +151,9 @@ def as_conditional(text: str) -> str | None:
 
 def without_bars(text: str) -> str | None:
     """Return the text with `abs(x)` for each `|x|`; None if the text has none."""
-    if len(text) > _MAX_FOREIGN or not _BARS.search(text):
+    if len(text) > _MAX_FOREIGN or not re.search(_BARS, text):
         return None
-    return _BARS.sub(lambda match: f"abs({match[1].strip()})", text)
+    return re.sub(_BARS, lambda match: f"abs({match[1].strip()})", text)
 
 
 def foreign_call(names: tuple[str, ...]) -> str:

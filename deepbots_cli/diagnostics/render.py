@@ -35,16 +35,14 @@ _COLORS = {
 }
 _MAX_SENTENCE = 600
 # Control characters, marks that reverse or hide the text after them, and characters that XML forbids.
-_UNSAFE = re.compile(
-    "[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufffe\uffff]"
-)
+_UNSAFE = "[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u206f\ud800-\udfff\ufeff\ufffe\uffff]"
 # Workflow commands: GitHub reads them at the beginning of a line, Azure and older GitHub anywhere.
-_COMMAND = re.compile(r"^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)", re.MULTILINE)
+_COMMAND = r"(?m)^([ \t]*):(?=:)|(#)(?=#(?:vso)?\[)"
 
 
 def escaped(text: str) -> str:
     """Return `text` on one line, with unsafe characters as escapes."""
-    return _UNSAFE.sub(lambda match: f"\\u{{{ord(match.group()):x}}}", text)
+    return re.sub(_UNSAFE, lambda match: f"\\u{{{ord(match.group()):x}}}", text)
 
 
 def shortened(text: str) -> str:
@@ -57,7 +55,7 @@ def escape_log_commands(text: str) -> str:
     `::stop-commands::x.yaml`."""
     if "::" not in text and "##" not in text:
         return text
-    return _COMMAND.sub(lambda match: f"{match[1] or ''}\\u{{{'23' if match[2] else '3a'}}}", text)
+    return re.sub(_COMMAND, lambda match: f"{match[1] or ''}\\u{{{'23' if match[2] else '3a'}}}", text)
 
 
 def message(finding: Finding) -> str:

@@ -35,8 +35,8 @@ from deepbots_cli.document.syntax_hints import LOADER
 
 _MAX_PASSES = 6
 _OPENING, _CLOSING = frozenset("{["), frozenset("}]")
-_COMMENT = re.compile(r"#[^\n]*")
-_BLANK_LINES = re.compile(r"\n\n\n+")
+_COMMENT = r"#[^\n]*"
+_BLANK_LINES = r"\n\n\n+"
 _BLOCKS = {"<block mapping start>": "map", "<block sequence start>": "list", "<block end>": "end"}
 
 
@@ -81,7 +81,7 @@ def _meaning(text: str) -> object:
 
 
 def _comments(text: str) -> list[str]:
-    return [comment.rstrip() for gap, _, _ in _gaps(text) for comment in _COMMENT.findall(gap)]
+    return [comment.rstrip() for gap, _, _ in _gaps(text) for comment in re.findall(_COMMENT, gap)]
 
 
 def _visible(text: str) -> list[Token]:
@@ -143,7 +143,7 @@ def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
         blanks = len(head) - len(head.lstrip())
         head = " " * max(blanks - moved, min(blanks, 2)) + head.lstrip()
     joined = "\n".join([head.rstrip(), *inner, "" if last else indentation])
-    joined = _BLANK_LINES.sub("\n\n", joined)
+    joined = re.sub(_BLANK_LINES, "\n\n", joined)
     if first:
         joined = joined.lstrip("\n")
     if not last:
@@ -258,10 +258,10 @@ def _nest(levels: list[str], kind: str) -> None:
 
 # Writing a tree
 
-_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]")
+_PLAIN = r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]"
 # YAML 1.1, which other programs read, takes `yes` and `on` for truth values.
 _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
-_UNSAFE_IN_QUOTES = re.compile(r"[\x7f-\x9f\u2028\u2029\ufeff]")
+_UNSAFE_IN_QUOTES = r"[\x7f-\x9f\u2028\u2029\ufeff]"
 """Characters that YAML does not read, or reads as line breaks, and that JSON does not escape."""
 
 
@@ -295,16 +295,16 @@ def _under(head: str, value: Node, pad: str) -> Iterator[str]:
 
 def plain_or_quoted(text: str) -> str:
     """Return a plain word where that is safe, else a text in double quotes with the escapes of JSON."""
-    if _PLAIN.fullmatch(text) and text.lower() not in _WORDS:
+    if re.fullmatch(_PLAIN, text) and text.lower() not in _WORDS:
         return text
     quoted = json.dumps(text, ensure_ascii=False)
-    return _UNSAFE_IN_QUOTES.sub(lambda match: f"\\u{ord(match[0]):04x}", quoted)
+    return re.sub(_UNSAFE_IN_QUOTES, lambda match: f"\\u{ord(match[0]):04x}", quoted)
 
 
-_REST_OF_LINE = re.compile(r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)")
-_COMMA = re.compile(r"[ \t]*,[ \t]*")
-_SPECIAL_IN_BRACKETS = re.compile(r"[,{}\[\]#\n]|: ")
-_END_OF_LINE = re.compile(r"\r?\n|\Z")
+_REST_OF_LINE = r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)"
+_COMMA = r"[ \t]*,[ \t]*"
+_SPECIAL_IN_BRACKETS = r"[,{}\[\]#\n]|: "
+_END_OF_LINE = r"\r?\n|\Z"
 
 
 # Removing or moving an entry
@@ -335,9 +335,9 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     text, end = source.text, entry.value.span.end
     if not holder.span.text.startswith("{"):
         start = text.rfind("\n", 0, start) + 1
-        rest_of_line = _REST_OF_LINE.match(text, end)
+        rest_of_line = re.compile(_REST_OF_LINE).match(text, end)
         end = rest_of_line.end() if rest_of_line and not text[start : entry.key.span.start].strip() else start
-    elif comma := _COMMA.match(text, end):
+    elif comma := re.compile(_COMMA).match(text, end):
         end = comma.end()
     else:
         before = text[:start].rstrip()
@@ -380,7 +380,7 @@ def _moved_lines(source: Source, holder: Entry, entry: Entry) -> str:
     start, end = entry.key.span.start, entry.value.span.end
     if holder.value.span.text.startswith("{"):
         return f"  {source.text[start:end]}{_newline(source)}"
-    rest_of_line = _REST_OF_LINE.match(source.text, end)
+    rest_of_line = re.compile(_REST_OF_LINE).match(source.text, end)
     lines = source.text[source.text.rfind("\n", 0, start) + 1 : rest_of_line.end() if rest_of_line else end]
     return lines if lines.endswith("\n") else f"{lines}{_newline(source)}"
 
@@ -403,7 +403,7 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
         return None
     if new.value.span.text.startswith("{"):
         plain = line.strip()
-        if _SPECIAL_IN_BRACKETS.search(plain.partition(": ")[2]):
+        if re.search(_SPECIAL_IN_BRACKETS, plain.partition(": ")[2]):
             return None
         return Span(source, max(ends), max(ends)), f", {plain}"
     starts = [entry.key.span.start for entry in entries if entry.key.span.source is source]
@@ -411,7 +411,7 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
     is_aligned = len(line) - len(line.lstrip(" ")) == column
     if not is_aligned and line.count("\n") > 1:
         return None
-    rest_of_line = _REST_OF_LINE.match(text, max(ends))
+    rest_of_line = re.compile(_REST_OF_LINE).match(text, max(ends))
     end = rest_of_line.end() if rest_of_line else text.find("\n", max(ends)) + 1
     if not end or text[end - 1] != "\n":
         return None
@@ -462,7 +462,7 @@ def _with_comment(before: str, behind: str, comment: str) -> str:
     same first word."""
     if not comment:
         return before + behind
-    line_end = _END_OF_LINE.search(behind)
+    line_end = re.search(_END_OF_LINE, behind)
     assert line_end is not None  # it also matches the end of the text
     line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", behind[: line_end.start()])
     return f"{before}{line}  # {comment}{behind[line_end.start() :]}"
@@ -489,7 +489,7 @@ def _addition(
     if not ends:
         return None
     column = min(source.position(neighbor.key.span.start).column for neighbor in neighbors) - 1
-    rest_of_line = _REST_OF_LINE.match(source.text, max(ends))
+    rest_of_line = re.compile(_REST_OF_LINE).match(source.text, max(ends))
     at = rest_of_line.end() if rest_of_line else source.text.find("\n", max(ends)) + 1 or len(source.text)
     newline = _newline(source)
     before = "" if source.text[at - 1 : at] == "\n" else newline

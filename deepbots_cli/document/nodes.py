@@ -19,8 +19,8 @@ NodePath = tuple[str | int, ...]
 Style = Literal["plain", "single", "double", "literal", "folded"]
 Value = None | bool | int | float | str
 
-_NEEDS_QUOTES = re.compile(r"""[][{},'"#]|:\s|^\s|\s$|^$""")
-_COMMENT = re.compile(r"(?:^|(?<=\s))#.*$", re.MULTILINE)
+_NEEDS_QUOTES = r"""[][{},'"#]|:\s|^\s|\s$|^$"""
+_COMMENT = r"(?m)(?:^|(?<=\s))#.*$"
 _MAX_DOTTED = 1000
 """The maximum number of characters of a dotted path, which is matched against keys piece by piece."""
 
@@ -116,7 +116,7 @@ def inline_text(node: Node) -> str:
     match node:
         case ScalarNode():
             # An expression of several lines may hold comments, which would hide the lines joined behind them.
-            return " ".join((_COMMENT.sub("", node.text) if "\n" in node.text else node.text).split())
+            return " ".join((re.sub(_COMMENT, "", node.text) if "\n" in node.text else node.text).split())
         case SequenceNode():
             return f"[{', '.join(map(_item_on_line, node.items))}]"
         case MappingNode():
@@ -129,7 +129,7 @@ def _item_on_line(node: Node) -> str:
     quoted = (
         isinstance(node, ScalarNode)
         and node.style in ("single", "double")
-        and _NEEDS_QUOTES.search(node.text)
+        and re.search(_NEEDS_QUOTES, node.text)
     )
     return " ".join(node.span.text.split()) if quoted else inline_text(node)
 

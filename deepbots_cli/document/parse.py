@@ -47,12 +47,12 @@ Event = Any  # the stubs of PyYAML allow events without marks
 
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
 _BLOCKS = ("literal", "folded")
-_ANCHOR = re.compile(r"&[\w-]+(?:\s+|#[^\n]*\n)*")
-_PATTERN = re.compile(r"\*_\w+")  # `*_joint`; a name without the underscore may lack its anchor
-_TAG = re.compile(r"!\S*")
+_ANCHOR = r"&[\w-]+(?:\s+|#[^\n]*\n)*"
+_PATTERN = r"\*_\w+"  # `*_joint`; a name without the underscore may lack its anchor
+_TAG = r"!\S*"
 # The language has no tags, and the parser takes quadratic time over these lines: 40 000 fit into 1 MiB.
 _TAG_DIRECTIVE = re.compile(r"^%TAG\b", re.MULTILINE)
-_BLOCK_HEADER = re.compile(r"[^\n]*\n\s*")
+_BLOCK_HEADER = r"[^\n]*\n\s*"
 _KINDS = {bool: "a truth value", int: "a number", float: "a number", type(None): "empty"}
 
 
@@ -162,7 +162,7 @@ class _Builder:
         """Return `node` without its tag, registered under its anchor; None if it has a tag, which is
         reported."""
         if event.tag is not None:
-            mark = _TAG.search(self.text, event.start_mark.index)
+            mark = re.compile(_TAG).search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
             help = "put text that starts with `!` in quotes; `not` negates a condition"
             self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help)
@@ -179,7 +179,7 @@ class _Builder:
         if event.anchor not in self.anchors:
             name = span.text
             help = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
-            fix = Fix((Edit(span, f'"{name}"'),), safe=True) if _PATTERN.fullmatch(name) else None
+            fix = Fix((Edit(span, f'"{name}"'),), safe=True) if re.fullmatch(_PATTERN, name) else None
             self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help, fix=fix)
             return None
         node = self.anchors[event.anchor]
@@ -217,7 +217,7 @@ class _Builder:
         if style in _BLOCKS:
             if not text.strip():
                 value = None
-            elif header := _BLOCK_HEADER.match(raw):
+            elif header := re.match(_BLOCK_HEADER, raw):
                 start += header.end()
         return ScalarNode(Span(self.source, start, end), text, value, style, offsets)
 
@@ -308,7 +308,7 @@ class _Builder:
     def start(self, event: Event) -> int:
         """Return the offset at which a value begins, behind its anchor."""
         _, start, end = self.span(event)
-        if event.anchor is not None and (anchor := _ANCHOR.match(self.text, start)):
+        if event.anchor is not None and (anchor := re.compile(_ANCHOR).match(self.text, start)):
             return min(anchor.end(), end) if isinstance(event, ScalarEvent) else anchor.end()
         return start
 
@@ -356,7 +356,7 @@ def resolve_plain_scalar(text: str) -> Value:
 
 # The offset of each character of a quoted or folded scalar
 
-_ESCAPE = re.compile(r"\\(?:x[0-9A-Fa-f]{2}|u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|\r\n|[\s\S])")
+_ESCAPE = r"\\(?:x[0-9A-Fa-f]{2}|u[0-9A-Fa-f]{4}|U[0-9A-Fa-f]{8}|\r\n|[\s\S])"
 _ESCAPE_CHARACTERS = dict(zip("0abt\tnvfreN_LP", "\0\a\b\t\t\n\v\f\r\x1b\x85\xa0\u2028\u2029", strict=True))
 
 
@@ -394,7 +394,7 @@ def _characters(raw: str, position: int, end: int, style: Style) -> Iterator[tup
         character, width = raw[position], 1
         if style == "single" and character == "'":
             width = 2
-        elif style == "double" and character == "\\" and (escape := _ESCAPE.match(raw, position)):
+        elif style == "double" and character == "\\" and (escape := re.compile(_ESCAPE).match(raw, position)):
             width, code = len(escape[0]), escape[0][1:]
             if len(code) > 1 and code[0] in "xuU":
                 character = chr(int(code[1:], 16))

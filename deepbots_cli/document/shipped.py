@@ -19,7 +19,7 @@ from deepbots_cli.plugins import entry_points_of, warn_unavailable
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
-_SUMMARY = re.compile(r"^summary: *(.+?) *$", re.MULTILINE)
+_SUMMARY = r"(?m)^summary: *(.+?) *$"
 
 
 @cache
@@ -105,7 +105,7 @@ def scenario_path(name: str) -> Path | None:
 
 def summary_of(path: Path) -> str:
     """Return the summary of a scenario file of deepbots; empty without one."""
-    summary = _SUMMARY.search(path.read_text("utf-8"))
+    summary = re.search(_SUMMARY, path.read_text("utf-8"))
     return summary[1] if summary else ""
 
 

@@ -23,18 +23,18 @@ LOADER: Any = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
 
 _QUOTE_HELP = "put the whole value in quotes, or after `|` on a line of its own"
 _NO_KEY = "a line without a key"
-_KEY = re.compile(r"\s*(?:- +)*[^\s:#]+: +")
-_LINE_KEY = re.compile(r"([^\s:#]+):(?=\s|$)")
-_TAB_INDENT = re.compile(r"[ ]*\t")
-_INDENT = re.compile(r"[ \t]*")
-_NEGATED = re.compile(r"[:,{\[][ \t]+!\(")
-_HIDDEN_IN_BRACKETS = re.compile(r"[\s\[{,](#[^\s,}\]]+)")
+_KEY = r"\s*(?:- +)*[^\s:#]+: +"
+_LINE_KEY = r"([^\s:#]+):(?=\s|$)"
+_TAB_INDENT = r"[ ]*\t"
+_INDENT = r"[ \t]*"
+_NEGATED = r"[:,{\[][ \t]+!\("
+_HIDDEN_IN_BRACKETS = r"[\s\[{,](#[^\s,}\]]+)"
 GLUED = re.compile(r"[\w.]+:(?=\S)")
-_ASSIGNED = re.compile(r"([A-Za-z_][\w.]*)[ \t]*=(?!=)[ \t]*(.*)")
-_NEXT_PAIR = re.compile(r"(?<=[^\s,:{\[])\s+(?=[A-Za-z_][\w.]*:(?:\s|[{\[]))")
-_MISSING_COLON = re.compile(r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)")
+_ASSIGNED = r"([A-Za-z_][\w.]*)[ \t]*=(?!=)[ \t]*(.*)"
+_NEXT_PAIR = r"(?<=[^\s,:{\[])\s+(?=[A-Za-z_][\w.]*:(?:\s|[{\[]))"
+_MISSING_COLON = r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)"
 _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
-_TWO_WORDS = re.compile(r"([a-z_]\w*)[ \t]+([\w*./-]+)")
+_TWO_WORDS = r"([a-z_]\w*)[ \t]+([\w*./-]+)"
 _CLOSING = {"{": "}", "[": "]"}
 _STARTS_OF_VALUES = (
     (r"\t", "a tab where YAML allows only spaces", "use spaces"),
@@ -50,7 +50,7 @@ _STARTS_OF_LINES = (
     (":", "a key is missing before the colon", "write `key: value`"),
     ("- |-$", "a list item among keys", "indent the list below its key"),
 )
-_PAIR_BEHIND_COMMA = re.compile(r",\s*[A-Za-z_][\w.]*:\s")
+_PAIR_BEHIND_COMMA = r",\s*[A-Za-z_][\w.]*:\s"
 MAX_SHOWN = 60
 _MAX_WRITTEN = 120
 _MAX_LINES_ABOVE = 200
@@ -98,7 +98,7 @@ class _Problem:
         words = text.lstrip(" ")
         if not words or words.startswith("#"):
             return None
-        key = _LINE_KEY.match(words)
+        key = re.match(_LINE_KEY, words)
         return _Line(
             start, len(text) - len(words), key[1] if key else "", key is not None and key.end() == len(words)
         )
@@ -171,14 +171,14 @@ def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
 def _tab(problem: _Problem) -> Finding | None:
     text = problem.source.text
     for start in (problem.line_start, text.rfind("\n", 0, problem.since) + 1):
-        if match := _TAB_INDENT.match(text, start):
+        if match := re.compile(_TAB_INDENT).match(text, start):
             above = problem.line_above(start)
             line = problem.rest_of_line(start).strip()[:MAX_SHOWN]
             spaces = ""
             if above is not None:
                 spaces = " " * (above.indent + 2 if above.opens else above.indent)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
-            indent = _INDENT.match(text, start)
+            indent = re.compile(_INDENT).match(text, start)
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
             return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
     return None
@@ -186,7 +186,7 @@ def _tab(problem: _Problem) -> Finding | None:
 
 def _exclamation_mark(problem: _Problem) -> Finding | None:
     """Report `!(a)`, which YAML reads as a tag."""
-    match = _NEGATED.search(problem.before)
+    match = re.search(_NEGATED, problem.before)
     if match is None:
         return None
     headline = "`!` does not negate: YAML reads it as the beginning of a tag"
@@ -246,7 +246,7 @@ def _brackets(problem: _Problem) -> Finding | None:
         opening = max(text.rfind(sign, 0, problem.at + 1) for sign in "{[")
         if opening < 0:
             return None
-    hidden = _HIDDEN_IN_BRACKETS.search(text, opening, problem.at)
+    hidden = re.compile(_HIDDEN_IN_BRACKETS).search(text, opening, problem.at)
     if hidden and hidden[1].count("#") == 1:
         help = f'put the value in quotes: "{hidden[1]}"'
         return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
@@ -265,7 +265,7 @@ def _brackets(problem: _Problem) -> Finding | None:
         unclosed = _unclosed(problem, opening, max(end, opening + 1))
         return unclosed if missing is None or unclosed.fix is not None else missing
     if character in ("}", "]"):
-        pair = _PAIR_BEHIND_COMMA.search(text, opening, problem.at)
+        pair = re.compile(_PAIR_BEHIND_COMMA).search(text, opening, problem.at)
         finding = _unclosed(problem, opening, pair.start() if pair else problem.at)
         if finding.fix is not None:
             return finding
@@ -288,7 +288,9 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     text = problem.source.text
     end = text.find("\n", problem.at)
     end = len(text) if end < 0 else end
-    gaps = [gap.start() for gap in _NEXT_PAIR.finditer(text, opening, end) if gap.end() <= problem.at]
+    gaps = [
+        gap.start() for gap in re.compile(_NEXT_PAIR).finditer(text, opening, end) if gap.end() <= problem.at
+    ]
     # A key on another line than the bracket is rather one behind a bracket that is not closed.
     read = problem.at + 1 if opening >= problem.line_start else len(text) + 1
     if not gaps or not is_readable(f"{text[: gaps[-1]]},{text[gaps[-1] :]}", read):
@@ -331,7 +333,7 @@ def is_readable(text: str, end: int | None = None) -> bool:
 
 def _second_colon(problem: _Problem, help: str) -> Finding:
     line = problem.rest_of_line(problem.line_start)
-    key = _KEY.match(line)
+    key = re.match(_KEY, line)
     replacement = nearest.as_conditional(line[key.end() :]) if key else None
     if key is not None and replacement:
         return problem.finding(
@@ -341,7 +343,11 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
             len(line) - key.end(),
         )
     help = "write `a if condition else b`" if " ? " in problem.before else help
-    if key is not None and _LINE_KEY.match(line, key.end()) and is_readable(f"{{{line[key.end() :]}\n}}"):
+    if (
+        key is not None
+        and re.compile(_LINE_KEY).match(line, key.end())
+        and is_readable(f"{{{line[key.end() :]}\n}}")
+    ):
         value = re.split(r"\s#", line[key.end() :], maxsplit=1)[0].rstrip()
         mapping = f"{line[: key.end()].lstrip()}{{{value[:MAX_SHOWN]}}}"
         help = f"put a mapping in braces: `{mapping}`; put a text in quotes"
@@ -449,7 +455,7 @@ def _is_first(problem: _Problem, line: _Line) -> bool:
 def missing_colon(line: str) -> tuple[str, str] | None:
     """Return the key and the line that was meant if a line lacks the colon behind its first word, or has `=`
     in its place."""
-    match = _ASSIGNED.fullmatch(line) or _MISSING_COLON.match(line) or _TWO_WORDS.fullmatch(line)
+    match = re.fullmatch(_ASSIGNED, line) or re.match(_MISSING_COLON, line) or re.fullmatch(_TWO_WORDS, line)
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
 
 
@@ -479,13 +485,13 @@ def _line_without_key(problem: _Problem, start: int, line: str) -> Finding:
     elif match := GLUED.match(line):
         help = f"put a space after the colon: `{line[: match.end()]} {line[match.end() :][:MAX_SHOWN]}`"
         edit = (match.end(), match.end(), " ")
-    elif match := _ASSIGNED.match(line):
+    elif match := re.match(_ASSIGNED, line):
         help = f"write a colon: `{f'{match[1]}: {match[2][:MAX_SHOWN]}'.rstrip()}`"
         edit = (match.end(1), match.start(2), ": " if match[2] else ":")
     elif correction := missing_colon(line):
         key, corrected = correction
         otherwise = (
-            "" if _MISSING_COLON.match(line) else ", or indent the line if it belongs to the value above"
+            "" if re.match(_MISSING_COLON, line) else ", or indent the line if it belongs to the value above"
         )
         help = f"write a colon after the key: `{corrected[:MAX_SHOWN]}`{otherwise}"
         edit = (0, len(key), f"{key}:")
@@ -504,7 +510,7 @@ def _behind_value(problem: _Problem) -> Finding | None:
     at, before, text_behind = problem.at, problem.before.rstrip(), problem.rest_of_line(problem.at)
     length = max(1, len(text_behind))
     if before.strip() and (before[-1] in "]}\"'" or not text_behind.startswith(("}", "]", ":"))):
-        key = _KEY.match(problem.before)
+        key = re.match(_KEY, problem.before)
         whole = problem.rest_of_line(
             problem.line_start + (key.end() if key else len(before) - len(before.lstrip()))
         )

@@ -13,15 +13,15 @@ from deepbots_cli.expressions.syntax import comma_reading
 GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""
 
-_QUOTABLE = re.compile(r"""[^"\\#\n]*""")
-_DRAW = re.compile(r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
-_WHERE = re.compile(r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)")
+_QUOTABLE = r"""[^"\\#\n]*"""
+_DRAW = r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)"
+_WHERE = r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)"
 _DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
-_HAS_COLON = re.compile(r"\s*:")
-_HIDDEN = re.compile(r":?[ \t]+(#[^\s#]\S*)")
-_COLOR = re.compile(r"#[0-9A-Fa-f]{6}")
-_NEXT_LINE = re.compile(r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]")
-_WHOLE_PART, _DECIMALS = re.compile(r"(?<![\w.])[0-9]+$"), re.compile(r",[0-9]")
+_HAS_COLON = r"\s*:"
+_HIDDEN = r":?[ \t]+(#[^\s#]\S*)"
+_COLOR = r"#[0-9A-Fa-f]{6}"
+_NEXT_LINE = r"[^\n]*\n(?:[ \t]*(?:#[^\n]*)?\r?\n)*([ ]*)[^\s#}\]]"
+_WHOLE_PART, _DECIMALS = r"(?<![\w.])[0-9]+$", r",[0-9]"
 _COMMA_HELP = (
     "inside brackets, a comma separates keys: write decimals with a point, group digits as in 100_000, and "
 )
@@ -35,24 +35,24 @@ _YAML11 = {
 # characters is not a number.
 _PERHAPS_ODD = re.compile(r"[-+]?[0-9][0-9A-Fa-fxo_,.:]{0,23}")
 _GROUPED = re.compile(r"[-+]?[0-9]{1,3}(?:_[0-9]{3})+(?:\.[0-9]+)?")
-_ODD_NUMBERS: tuple[tuple[re.Pattern[str], str, Callable[[str], str | None]], ...] = (
+_ODD_NUMBERS: tuple[tuple[str, str, Callable[[str], str | None]], ...] = (
     (
-        re.compile(r"[-+]?0[0-9]+"),
+        r"[-+]?0[0-9]+",
         "is {} here, but YAML 1.1 reads a leading zero as octal",
         lambda text: str(int(text)),
     ),
     (
-        re.compile(r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)"),
+        r"[-+]?0(?:x[0-9A-Fa-f]+|o[0-7]+|b[01]+)",
         "is read as text, because only decimal numbers are supported",
         lambda text: str(int(text, 0)),
     ),
     (
-        re.compile(r"[-+]?[0-9]+(?::[0-9]+){1,3}"),
+        r"[-+]?[0-9]+(?::[0-9]+){1,3}",
         "is read as text, but YAML 1.1 reads it as a number in base 60",
         lambda text: None,
     ),
     (
-        re.compile(r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*"),
+        r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*",
         "is read as text, because its digits are not grouped in threes",
         lambda text: text.replace("_", ""),
     ),
@@ -87,11 +87,11 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
         text = " ".join(span.text.split())
         quoted = f': "{text}"' if len(text) <= MAX_SHOWN and '"' not in text else ""
         help = f"put the value in quotes{quoted}, or on a line of its own"
-        fix = Fix((Edit(span, f'"{text}"'),), safe=True) if _QUOTABLE.fullmatch(span.text) else None
-        if draw := _DRAW.fullmatch(text):
+        fix = Fix((Edit(span, f'"{text}"'),), safe=True) if re.fullmatch(_QUOTABLE, span.text) else None
+        if draw := re.fullmatch(_DRAW, text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
             help, fix = f"write the draw without a comma: `{better}`", Fix((Edit(span, better),), safe=True)
-        elif call := _WHERE.fullmatch(text):
+        elif call := re.fullmatch(_WHERE, text):
             help, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)
     return cut
@@ -110,7 +110,7 @@ def report_decimal_commas(
     for key, value in pairs:
         is_empty = isinstance(value, ScalarNode) and value.style == "plain" and not value.text
         behind = key.span.source.text[last.end : key.span.start + 1] if last and key and is_empty else ""
-        if last and key and _DECIMALS.fullmatch(behind) and _WHOLE_PART.search(last.text):
+        if last and key and re.fullmatch(_DECIMALS, behind) and re.search(_WHOLE_PART, last.text):
             start = cut.pop().start if cut and cut[-1].end == last.end else last.start
             cut.append(Span(key.span.source, start, key.span.end))
         if key and is_empty:
@@ -129,8 +129,8 @@ def report_decimal_commas(
 def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *, is_flow: bool) -> None:
     """Report a key without a value, with the probable reason."""
     text, end = key.span.source.text, key.span.end
-    hidden = _HIDDEN.match(text, end)
-    following = _NEXT_LINE.match(text, end)
+    hidden = re.compile(_HIDDEN).match(text, end)
+    following = re.compile(_NEXT_LINE).match(text, end)
     help, fix = GIVE_A_VALUE, None
     if value.style != "plain":
         help = (
@@ -144,16 +144,16 @@ def report_empty_value(key: ScalarNode, value: ScalarNode, findings: Findings, *
     elif (
         is_flow
         and (" " in key.text or "=" in key.text)
-        and not _HAS_COLON.match(text, end)
+        and not re.compile(_HAS_COLON).match(text, end)
         and (correction := missing_colon(key.text))
     ):
         help = f"write a colon after the key: `{correction[1]}`"
         fix = Fix.replacing(key.span, key.text, correction[1], safe=False)
-    elif is_flow and not _HAS_COLON.match(text, end):
+    elif is_flow and not re.compile(_HAS_COLON).match(text, end):
         help = _COMMA_HELP + "put a value with a comma in quotes, several values in `[...]`"
     elif hidden:
         help = f'a `#` after a space begins a comment; put the value in quotes: "{hidden[1]}"'
-        if _COLOR.fullmatch(hidden[1]) and not is_flow:
+        if re.fullmatch(_COLOR, hidden[1]) and not is_flow:
             fix = Fix((Edit(Span(key.span.source, *hidden.span(1)), f'"{hidden[1]}"'),), safe=True)
     elif not is_flow and following and len(following[1]) == key.span.start_position.column - 1:
         help = "write a value, or indent the lines that belong to this key"
@@ -165,7 +165,7 @@ def help_for_key(key: ScalarNode) -> str:
     comma cuts."""
     if not key.text:
         return "write `name: value`"
-    if not _HAS_COLON.match(key.span.source.text, key.span.end):
+    if not re.compile(_HAS_COLON).match(key.span.source.text, key.span.end):
         return _COMMA_HELP + "put a value with a comma in quotes"
     return f'put it in quotes: "{key.text}"'
 
@@ -205,7 +205,7 @@ def _odd_number(text: str) -> tuple[str, str, str | None] | None:
     if reading := comma_reading(text):
         return f"`{text}` is read as text, because decimals need a point", *reading
     for pattern, reason, read in _ODD_NUMBERS:
-        if pattern.fullmatch(text):
+        if re.fullmatch(pattern, text):
             number = read(text)
             help = f"write {number}" if number else "write a duration with its unit, such as 750 s"
             return f"`{text}` {reason.format(number)}", help, number

@@ -31,8 +31,8 @@ _TOKEN = re.compile(
     re.DOTALL | re.ASCII,
 )
 _COMMA_NUMBER = re.compile(r"(?<![\w,])(?<!\d\.)\d+(?:,\d+)+(?:\.\d+)?(?:[eE][-+]?\d+)?(?![\d,])", re.ASCII)
-_DECIMAL_COMMA = re.compile(r"\d+,\d+(?:[eE][-+]?\d+)?")
-_GROUPED_BY_COMMAS = re.compile(r"[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?")
+_DECIMAL_COMMA = r"\d+,\d+(?:[eE][-+]?\d+)?"
+_GROUPED_BY_COMMAS = r"[1-9]\d{0,2}(?:,\d{3})+(?:\.\d+)?"
 
 
 class Token(NamedTuple):
@@ -64,8 +64,8 @@ def comma_reading(text: str, *, whole: bool = False) -> tuple[str, str | None] |
     """
     numbers = _COMMA_NUMBER.findall(text)
     decimal, grouped = (text.replace(",", sign) for sign in "._")
-    is_decimal = not whole and all(map(_DECIMAL_COMMA.fullmatch, numbers))
-    is_grouped = all(map(_GROUPED_BY_COMMAS.fullmatch, numbers)) and not (whole and "." in text)
+    is_decimal = not whole and all(map(re.compile(_DECIMAL_COMMA).fullmatch, numbers))
+    is_grouped = all(map(re.compile(_GROUPED_BY_COMMAS).fullmatch, numbers)) and not (whole and "." in text)
     if not numbers or not (is_decimal or is_grouped):
         return None
     if is_decimal and is_grouped:

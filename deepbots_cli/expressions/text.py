@@ -198,9 +198,9 @@ def _power(base: Code, exponent: int, scalar: Scalar) -> Code:
 
 _NAME = "|".join(map(re.escape, sorted(UNITS, key=len, reverse=True)))
 _WORD = rf"(?:{_NAME})(?!\w)(?:\^-?\d)?"
-_UNIT = re.compile(rf"(?<![\w.]){NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)")
+_UNIT = rf"(?<![\w.]){NUMBER}\s*({_WORD}(?:[*/]{_WORD})*)"
 _USUAL = {"rad": "deg", "rad/s": "deg/s", "rad/s^2": "deg/s^2"}
-_COMPOUND = re.compile(rf"(?<![\w.])(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)")
+_COMPOUND = rf"(?<![\w.])(?:{NUMBER})\s*\(({_WORD}(?:[*/]{_WORD})*)\)"
 MAX_TEXT = 10_000
 """The maximum number of letters of an expression that are searched for a unit."""
 
@@ -225,7 +225,7 @@ def unit_named(text: str) -> Unit:
 def units_in(text: str) -> Iterator[Unit]:
     """Yield the units that follow a number in a text, in their order."""
     text = text[:MAX_TEXT]
-    matches = [*_UNIT.finditer(text), *_COMPOUND.finditer(text)]
+    matches = [*re.finditer(_UNIT, text), *re.finditer(_COMPOUND, text)]
     for match in sorted(matches, key=lambda match: match.start()):
         unit = _unit(match[1])
         if unit is not None:

@@ -152,7 +152,7 @@ def _list(value: object, key: str, name: str) -> tuple[str, ...]:
 
 # Scenarios in folders
 
-_VERSION = re.compile(rb"(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*\{\s*)(['\"]?)deepbots\1[ \t]*:", re.MULTILINE)
+_VERSION = rb"(?m)(?:^|\A\xef\xbb\xbf|\A(?:\s|#[^\n]*+)*\{\s*)(['\"]?)deepbots\1[ \t]*:"
 _MAX_SEARCHED_BYTES = 65_536
 """The number of bytes at the beginning of a file in which the key `deepbots` is searched."""
 _SUFFIXES = (".yaml", ".yml")
@@ -166,7 +166,7 @@ thousand."""
 def is_scenario(data: bytes) -> bool:
     """Return whether a text has the key `deepbots` at its top level; a file without it is a part that
     scenarios include."""
-    return _VERSION.search(data, 0, _MAX_SEARCHED_BYTES) is not None
+    return re.compile(_VERSION).search(data, 0, _MAX_SEARCHED_BYTES) is not None
 
 
 def scenarios_in(folder: Path, project: Settings) -> list[Path]:

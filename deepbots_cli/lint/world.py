@@ -34,7 +34,7 @@ _MAX_MASS_RATIO = 1e5
 """The mass from which an object is implausible, as a multiple of the mass of all robots together."""
 _WATER_DENSITY = 1000.0
 """The density of water, in kg/m^3."""
-_LENGTHS_IN_METERS = re.compile(r"([\d.]+(?: [\d.]+)*) *m")
+_LENGTHS_IN_METERS = r"([\d.]+(?: [\d.]+)*) *m"
 _MAX_DEPTH = 0.005
 """The depth (m) up to which bodies may overlap; engines let resting bodies sink in by less than a millimeter,
 and a pose set by hand is often a little off.
@@ -203,7 +203,7 @@ def _odd_mass(
 def _in_centimeters(path: NodePath, values: ValueReader) -> str:
     """Return a help with the same size in centimeters, where it is written in meters."""
     size_text = values.span_of_first(path, "radius", "size").text
-    match = _LENGTHS_IN_METERS.fullmatch(size_text)
+    match = re.fullmatch(_LENGTHS_IN_METERS, size_text)
     if match is None:
         return "check the unit of its size"
     return f"write `{match[1]} cm` if you mean centimeters"

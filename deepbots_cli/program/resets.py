@@ -398,9 +398,9 @@ class Disturbance:
 
 _PLANE = ("x", "y")
 
-_OF_MEMBER = re.compile(r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\.")
+_OF_MEMBER = r"(?:reset\.place|reset\.layouts\.\w+|objects)\.\w+#\d+\."
 
-_OF_COPY = re.compile(r"\w+#\d+\.")
+_OF_COPY = r"\w+#\d+\."
 
 
 class _Units(TypedDict):
@@ -447,12 +447,12 @@ def key_of_member(member: str, name: str) -> str:
 
 def is_of_member(name: str) -> bool:
     """Return whether a name is that of a draw for one member of a group, such as `reset.place.crate#2.x`."""
-    return _OF_MEMBER.match(name) is not None
+    return re.match(_OF_MEMBER, name) is not None
 
 
 def without_copy(name: str) -> str:
     """Return the name of a draw without the copy of a robot that it is for, such as `cart#2.`."""
-    return _OF_COPY.sub("", name, count=1) if _OF_COPY.match(name) else name
+    return re.sub(_OF_COPY, "", name, count=1) if re.match(_OF_COPY, name) else name
 
 
 def kind_key(body: str) -> str:

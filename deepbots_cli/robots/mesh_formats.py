@@ -98,9 +98,9 @@ def placed_triangles(suffix: str, data: bytes) -> Placed:
 
 _NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _THREE_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([rb"(" + _NUMBER + rb")"] * 3) + rb"(?=\s|$)"
-_NOT_FINITE = re.compile(rb"nan|inf", re.IGNORECASE)
-_STL_VERTEX = re.compile(rb"vertex[ \t]([^\n]*)", re.IGNORECASE)
-_STL_PLACE = re.compile(rb"vertex" + _THREE_NUMBERS, re.IGNORECASE)
+_NOT_FINITE = rb"(?i)nan|inf"
+_STL_VERTEX = rb"(?i)vertex[ \t]([^\n]*)"
+_STL_PLACE = rb"(?i)vertex" + _THREE_NUMBERS
 
 
 def is_text_stl(data: bytes) -> bool:
@@ -134,11 +134,11 @@ def _stl_triangles(data: bytes) -> Placed:
     return ((Triangles(numbers, array("q", range(len(numbers) // 3))), IDENTITY),)
 
 
-def _places(data: bytes, vertex: re.Pattern[bytes], place: re.Pattern[bytes], kind: str) -> array[float]:
+def _places(data: bytes, vertex: bytes, place: bytes, kind: str) -> array[float]:
     """Return the coordinates of all vertices of a file of text. Raises: FaultyMeshError: One has none."""
-    places = place.findall(data)
-    vertices = vertex.findall(data)
-    if any(map(_NOT_FINITE.search, vertices)):
+    places = re.findall(place, data)
+    vertices = re.findall(vertex, data)
+    if any(map(re.compile(_NOT_FINITE).search, vertices)):
         raise FaultyMeshError(f"the {kind} file contains a vertex that is not finite")
     if len(vertices) != len(places):
         raise FaultyMeshError(f"a vertex of the {kind} file is not three numbers")
@@ -148,10 +148,10 @@ def _places(data: bytes, vertex: re.Pattern[bytes], place: re.Pattern[bytes], ki
 # OBJ
 
 
-_OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]([^\n]*)", re.MULTILINE)
-_OBJ_PLACE = re.compile(rb"^[ \t]*v" + _THREE_NUMBERS, re.MULTILINE)
-_LINE = re.compile(rb"^[ \t]*([vf])(?=[ \t])([^\n]*)", re.MULTILINE)
-_INDEX = re.compile(rb"[ \t](-?)0*([0-9]+)")
+_OBJ_VERTEX = rb"(?m)^[ \t]*v[ \t]([^\n]*)"
+_OBJ_PLACE = rb"(?m)^[ \t]*v" + _THREE_NUMBERS
+_LINE = rb"(?m)^[ \t]*([vf])(?=[ \t])([^\n]*)"
+_INDEX = rb"[ \t](-?)0*([0-9]+)"
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
 _MAX_FACE_CORNERS = 100_000
 """Of one face, whose corners are all in memory at a time, 170 bytes each."""
@@ -162,7 +162,7 @@ def _obj_triangles(data: bytes) -> Placed:
     """Return the triangles around the first corner of each face."""
     if b"\0" in data:
         raise FaultyMeshError("the OBJ file is not text")
-    lines = list(islice(_LINE.finditer(data), _MAX_LINES + 1))
+    lines = list(islice(re.finditer(_LINE, data), _MAX_LINES + 1))
     if len(lines) > _MAX_LINES:
         raise FaultyMeshError(f"the OBJ file contains more than {_MAX_LINES:,} vertices and faces")
     numbers = _places(data, _OBJ_VERTEX, _OBJ_PLACE, "OBJ")
@@ -176,7 +176,7 @@ def _obj_triangles(data: bytes) -> Placed:
             continue
         if sum(data.count(blank, *line.span(2)) for blank in (b" ", b"\t")) > _MAX_FACE_CORNERS:
             raise FaultyMeshError(f"a face of the OBJ file has more than {_MAX_FACE_CORNERS:,} corners")
-        face = _INDEX.findall(data, *line.span(2))
+        face = re.compile(_INDEX).findall(data, *line.span(2))
         total += len(face)
         if total > MAX_CORNERS:
             raise FaultyMeshError(

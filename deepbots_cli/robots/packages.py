@@ -33,8 +33,8 @@ _MAX_DEPTH, _MAX_LISTED, _MAX_FOLDERS, _MAX_ENTRIES = 3, 300, 2000, 500  # of a 
 _MAX_PARENTS = 32
 _MAX_END = 8
 """The number of parts of the end of a path that is looked for."""
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_PACKAGE_NAME = re.compile(rb"<name>\s*([^<>\s]{1,200})\s*</name>")
+_COMMENT = rb"(?s)<!--.*?-->"
+_PACKAGE_NAME = rb"<name>\s*([^<>\s]{1,200})\s*</name>"
 _NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build", "dist"})
 
 
@@ -223,10 +223,10 @@ class Places:
         if not self._allows(real) or not is_file(real):
             return None
         try:
-            text = _COMMENT.sub(b"", read_at_most(real, _MAX_MANIFEST_BYTES))
+            text = re.sub(_COMMENT, b"", read_at_most(real, _MAX_MANIFEST_BYTES))
         except OSError:
             return None
-        match = _PACKAGE_NAME.search(text)
+        match = re.search(_PACKAGE_NAME, text)
         return match[1].decode("utf-8", "replace") if match else None
 
     def _searched(self) -> list[Path]:

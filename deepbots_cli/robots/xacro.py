@@ -32,14 +32,16 @@ MAX_YAML_BYTES, MAX_YAML_SIZE = 128 << 10, 20_000
 _MAX_LABELS = 3
 _STEPS_OF_CALL = 5  # a call takes as long as so many elements
 _MARKS = ("<xacro:", "${", "$(")
-_NOT_XML = re.compile("[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
-_PIECE = re.compile(
-    r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)|(?P<open>\$[{(])|(?P<text>[^$]+|\$)"
+_NOT_XML = "[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]"
+_PIECE = (
+    r"(?P<escaped>\$\$+[{(])|\$\{(?P<expression>[^}]*)\}|\$\((?P<command>[^)]*)\)"
+    r"|(?P<open>\$[{(])|(?P<text>[^$]+|\$)"
 )
 # name, whether the property of the caller is the default, and another default; as in xacro, without its
 # nested repetition, which takes exponential time
-_PARAMETER = re.compile(
-    r"\s*([^\s:=]+)(?:\s*:?=\s*(\^\|?)?(\$\{[^}]*\}|\$\([^)]*\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*))?(?:\s+|$)"
+_PARAMETER = (
+    r"\s*([^\s:=]+)"
+    r"(?:\s*:?=\s*(\^\|?)?(\$\{[^}]*\}|\$\([^)]*\)|(?:'[^']*'|\"[^\"]*\"|[^\s'\"])*))?(?:\s+|$)"
 )
 _BOOLEANS = {"true": True, "True": True, "false": False, "False": False}
 _YAML_UNITS = {
@@ -188,7 +190,7 @@ class _Expander:
         """Return the value of a text: that of its only expression, else a text."""
         values: list[Any] = []
         with self.budget:
-            for piece in _PIECE.finditer(text):
+            for piece in re.finditer(_PIECE, text):
                 if piece["expression"] is not None:
                     expression = str(self.text(piece["expression"], scope))
                     values.append(Evaluator(scope, self.budget).value(expression))
@@ -246,7 +248,7 @@ class _Expander:
         """Return the value of a text; its place is an attribute of `template`."""
         try:
             value = self.text(text, scope)
-            if isinstance(value, str) and (character := _NOT_XML.search(value)):
+            if isinstance(value, str) and (character := re.search(_NOT_XML, value)):
                 raise XacroError(f"the value has the character {character[0]!a}, which XML forbids")
             return value
         except XacroError as error:
@@ -332,7 +334,7 @@ class _Expander:
 
     def define_macro(self, template: Element, scope: Scope, into: Element) -> None:
         name = str(self.attribute(template, "name", scope)).removeprefix("xacro:")
-        parameters = _PARAMETER.findall(template.attributes.get("params", ""))
+        parameters = re.findall(_PARAMETER, template.attributes.get("params", ""))
         macro = _Macro(template, {parameter: tuple(rest) for parameter, *rest in parameters})
         scope.maps[0][f"<{name}>"] = macro
 

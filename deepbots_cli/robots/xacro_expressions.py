@@ -141,7 +141,7 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.In: lambda item, container: item in container,
     ast.NotIn: lambda item, container: item not in container,
 }
-_PERCENT = re.compile(r"%(?:%|[-+ 0#]?[0-9]{0,2}(?:\.[0-9]{1,2})?[sdifgGeExXr])|[^%]+")
+_PERCENT = r"%(?:%|[-+ 0#]?[0-9]{0,2}(?:\.[0-9]{1,2})?[sdifgGeExXr])|[^%]+"
 
 
 def size(value: Any, limit: int) -> int:
@@ -227,7 +227,7 @@ class Evaluator:
         elif isinstance(node.op, ast.Pow) and isinstance(left, int) and isinstance(right, int):
             if left.bit_length() * abs(right) > _MAX_BITS:
                 raise _too_large()
-        elif isinstance(node.op, ast.Mod) and isinstance(left, str) and _PERCENT.sub("", left):
+        elif isinstance(node.op, ast.Mod) and isinstance(left, str) and re.sub(_PERCENT, "", left):
             raise XacroError(f"deepbots does not support the format {quoted(left)}", WAY_OUT)
         return self._budget.bounded(self._operator(node.op)(left, right))
 

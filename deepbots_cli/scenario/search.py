@@ -24,15 +24,15 @@ MAX_CHOICES = 64
 _DIGITS = 4
 """Significant digits of a value that a trial tries, relative to the width of its range. They keep a file
 readable that is written later."""
-_LOG = re.compile(r"(.*?)\s*:\s*log\s*", re.DOTALL)
-_BETWEEN_CHOICES = re.compile(r"\|(?![^\[\](){}]*[\])}])")  # outside brackets
+_LOG = r"(?s)(.*?)\s*:\s*log\s*"
+_BETWEEN_CHOICES = r"\|(?![^\[\](){}]*[\])}])"  # outside brackets
 
 
 class SearchSpace(BaseModel):
     """The values that a key may take: `choices` as they are written, or else numbers from `low` to `high` in
     `unit`."""
 
-    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, strict=True, allow_inf_nan=False, defer_build=True)
 
     low: float = 0.0
     high: float = 0.0
@@ -81,7 +81,7 @@ class SearchSpace(BaseModel):
 
 def split_choices(text: str) -> tuple[str, ...]:
     """Return the choices of `a | b | c`; a single one if there is no `|`."""
-    return tuple(part.strip() for part in _BETWEEN_CHOICES.split(text))
+    return tuple(part.strip() for part in re.split(_BETWEEN_CHOICES, text))
 
 
 def read_range(text: str) -> SearchSpace:
@@ -91,7 +91,7 @@ def read_range(text: str) -> SearchSpace:
         PydanticCustomError: It is not a range of numbers, or is empty.
     """
     field = SearchField()
-    marked = _LOG.fullmatch(text)
+    marked = re.fullmatch(_LOG, text)
     tree = Parsed.tree(marked[1] if marked else text)
     if not (isinstance(tree, RangeTree) and isinstance(tree.low, Number) and isinstance(tree.high, Number)):
         raise mismatch(field.noun, field.help_for(text), value=text)

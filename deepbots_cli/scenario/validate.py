@@ -42,9 +42,9 @@ from deepbots_cli.words import counted
 _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 
-_ONLY_SPACE = re.compile(r"\s*:(\s|#[^\n]*)*")
-_END_OF_LINE = re.compile(r"( *:)?[ \t]*(#[^\n]*)?\n *")
-_LINE = re.compile(r"^(?=[^\n])", re.MULTILINE)
+_ONLY_SPACE = r"\s*:(\s|#[^\n]*)*"
+_END_OF_LINE = r"( *:)?[ \t]*(#[^\n]*)?\n *"
+_LINE = r"(?m)^(?=[^\n])"
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still checked.
 _REQUIRED_SECTION_DEFAULTS: dict[str, object] = {
@@ -390,13 +390,15 @@ def _section_above(holder: nodes.MappingNode, key: ScalarNode) -> tuple[ScalarNo
     is indented less than the keys of this section."""
     source = key.span.source
     for owner in holder.keys_without_value:
-        if owner.span.source is source and _ONLY_SPACE.fullmatch(source.text, owner.span.end, key.span.start):
+        if owner.span.source is source and re.compile(_ONLY_SPACE).fullmatch(
+            source.text, owner.span.end, key.span.start
+        ):
             return owner, 2
     for entry in holder.entries.values():
         section = entry.value
         if entry.key.span.source is source and isinstance(section, nodes.MappingNode) and section.entries:
             spaces = _column(next(iter(section.entries.values())).key) - _column(key)
-            is_right_above = _END_OF_LINE.fullmatch(source.text, section.span.end, key.span.start)
+            is_right_above = re.compile(_END_OF_LINE).fullmatch(source.text, section.span.end, key.span.start)
             if is_right_above and spaces > 0 and not section.span.text.startswith("{"):
                 return entry.key, spaces
     return None, 0
@@ -435,7 +437,9 @@ def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], spaces: int) 
     first = entries[0].key
     more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     begin = source.text.rfind("\n", 0, first.span.start) + 1
-    starts = [match.start() for match in _LINE.finditer(source.text, begin, entries[-1].value.span.end)]
+    starts = [
+        match.start() for match in re.compile(_LINE).finditer(source.text, begin, entries[-1].value.span.end)
+    ]
     if len(entries) == 1 and _column(entries[0].value) > _column(first) + spaces:
         starts = starts[:1]  # the lines below it are indented as they should be
     return Finding(
