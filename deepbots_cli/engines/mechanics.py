@@ -19,6 +19,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, Frame, Quaternion, Triple
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import ARENA_WALLS, WALL_COLOR, Arena, ObjectBody
 from deepbots_cli.robots.model import (
     Box,
@@ -341,36 +342,25 @@ METERS_PER_RAD = 0.3  # m; the weight of an error of 1 rad
 TOLERANCE_M = 1e-7  # m; an error to stop at
 MAX_ITERATIONS = 100
 STALL_RATIO = 0.99  # a round that leaves more than this share of the square of the error has not helped
+CHORD_RATIO = 1e-5  # a round that leaves less of it does not need a new Jacobian
 MAX_STALLED_ITERATIONS = 12  # in a row, after which the search gives up
 MAX_STEP = 0.5  # rad or m; of a joint in one round
 
 
 class Segment(NamedTuple):
-    """The step from one link to the next: a fixed frame, then a joint, at `place` among all moving joints of
-    the chain, or None."""
+    """The step from one moving joint to the next: a fixed frame, then the joint."""
 
     frame: Frame
     axis: Triple
     turns: bool
-    place: int | None
 
-
-class _Drive(NamedTuple):
-    """The axis of a moving joint in the frame of the root: its direction, a point of it, and whether the
-    joint turns about it or slides along it."""
-
-    axis: Triple
-    pivot: Triple
-    turns: bool
-
-    def movement_of(self, point: Triple) -> Triple:
-        """Return the movement of a point per rad, or m, of the joint."""
-        return frames.cross(self.axis, frames.subtract(point, self.pivot)) if self.turns else self.axis
-
-    @property
-    def rotation(self) -> Triple:
-        """The rotation per rad, or m, of the joint, counted as `METERS_PER_RAD` m per rad."""
-        return frames.scaled(self.axis, METERS_PER_RAD) if self.turns else IDENTITY_FRAME[0]
+    def movement(self, place: Frame, point: Triple) -> tuple[Triple, Triple]:
+        """Return how the joint moves a point, per rad or m of the joint, and the rotation, in `METERS_PER_RAD`
+        m per rad. `place` is the frame of the joint."""
+        axis = frames.rotate(place[1], self.axis)
+        if not self.turns:
+            return axis, ZERO_VECTOR
+        return frames.cross(axis, frames.subtract(point, place[0])), frames.scaled(axis, METERS_PER_RAD)
 
 
 class Chain:
@@ -383,15 +373,14 @@ class Chain:
         strange = [name for name in driven if name not in self.moving_joints]
         if strange:
             raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
-        self._segments = [
-            Segment(
-                frames.frame(j.origin),
-                j.axis,
-                j.type != "prismatic",
-                self.moving_joints.index(j.name) if j.moves else None,
-            )
-            for j in path
-        ]
+        self._segments: list[Segment] = []
+        self._tip = IDENTITY_FRAME
+        """The frame of the link in that of the last moving joint."""
+        for joint in path:
+            self._tip = frames.compose(self._tip, frames.frame(joint.origin))
+            if joint.moves:
+                self._segments.append(Segment(self._tip, joint.axis, joint.type != "prismatic"))
+                self._tip = IDENTITY_FRAME
         self._driven = [self.moving_joints.index(name) for name in driven]
         self._followers = [
             (index, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)
@@ -400,8 +389,7 @@ class Chain:
         ]
         """The followers of driven joints: their place, that of the leader among the driven joints, and their
         linear relation."""
-        ranges = [model.joint(name).ends(inf) for name in driven]
-        self._lower, self._upper = (np.array([ends[side] for ends in ranges]) for side in (0, 1))
+        self._ranges = [model.joint(name).ends(inf) for name in driven]
 
     def solve(
         self, root: Frame, positions: Sequence[float], target: Triple, attitude: Quaternion | None
@@ -426,7 +414,7 @@ class Chain:
     def _middle(self, positions: Sequence[float]) -> list[float]:
         """Return these positions, with the driven joints in the middle of their ranges, if they have any."""
         middle = list(positions)
-        for index, low, high in zip(self._driven, self._lower.tolist(), self._upper.tolist(), strict=True):
+        for index, (low, high) in zip(self._driven, self._ranges, strict=True):
             if low > -inf and high < inf:
                 middle[index] = (low + high) / 2
         return middle
@@ -435,74 +423,61 @@ class Chain:
         self, joints: list[float], goal: Triple, local_attitude: Quaternion | None
     ) -> tuple[list[float], float]:
         """Return the end of the search from these positions, and the square of the error that is left."""
-        error, jacobian = self._linearized(joints, goal, local_attitude)
+        end_frame, places = self._forward(joints)
+        error = _error(end_frame, goal, local_attitude)
+        jacobian = None
+        identity = np.eye(len(self._driven))
         damping = 1e-4
-        missing = float(error @ error)
+        missing = sum(part * part for part in error)
         idle = 0
         for _ in range(MAX_ITERATIONS):
             if missing < TOLERANCE_M * TOLERANCE_M or damping > 1e8 or idle > MAX_STALLED_ITERATIONS:
                 break
-            now = np.array([joints[index] for index in self._driven])
-            normal = jacobian.T @ jacobian + damping * np.eye(len(now))
+            if jacobian is None:
+                jacobian = self._jacobian(end_frame, places, len(error))
             # Damping keeps the matrix invertible where a stretched chain makes the Jacobian lose rank.
-            step = np.clip(np.linalg.solve(normal, jacobian.T @ error), -MAX_STEP, MAX_STEP)
+            normal = jacobian.T @ jacobian + damping * identity
+            steps = np.linalg.solve(normal, jacobian.T @ error).tolist()
             tried = list(joints)
-            for index, value in zip(
-                self._driven, np.clip(now + step, self._lower, self._upper).tolist(), strict=True
-            ):
-                tried[index] = value
-            new_error, new_jacobian = self._linearized(tried, goal, local_attitude)
-            left = float(new_error @ new_error)
+            for index, step, (low, high) in zip(self._driven, steps, self._ranges, strict=True):
+                tried[index] = min(max(joints[index] + min(max(step, -MAX_STEP), MAX_STEP), low), high)
+            new_frame, new_places = self._forward(tried)
+            new_error = _error(new_frame, goal, local_attitude)
+            left = sum(part * part for part in new_error)
             idle = idle + 1 if left > STALL_RATIO * missing else 0
+            if left > CHORD_RATIO * missing:
+                jacobian = None
             if left < missing:
-                joints = tried
-                error = new_error
-                jacobian = new_jacobian
-                missing = left
+                joints, end_frame, places = tried, new_frame, new_places
+                error, missing = new_error, left
                 damping = max(damping * 0.2, 1e-9)
             else:
                 damping *= 10.0
         return joints, missing
 
-    def _linearized(
-        self, joints: Sequence[float], goal: Triple, attitude: Quaternion | None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the error at these positions, and how it shrinks with each driven joint."""
-        end_frame, drives = self._forward(joints)
-        error = list(frames.subtract(goal, end_frame[0]))
-        columns = [drive.movement_of(end_frame[0]) for drive in drives]
-        if attitude is None:
-            return np.array(error), self._with_followers(np.array(columns)).T
-        error += frames.scaled(
-            _rotation_vector(frames.multiply(attitude, frames.inverse(end_frame[1]))), METERS_PER_RAD
-        )
-        full = [(*column, *drive.rotation) for column, drive in zip(columns, drives, strict=True)]
-        return np.array(error), self._with_followers(np.array(full)).T
+    def _jacobian(self, end_frame: Frame, places: Sequence[Frame], size: int) -> FloatArray:
+        """Return how the error, which has this size, shrinks with each driven joint; `places` are the frames
+        of all moving joints."""
+        indices = (*self._driven, *(follower for follower, _, _ in self._followers))
+        movements = [self._segments[index].movement(places[index], end_frame[0]) for index in indices]
+        return self._with_followers(np.array([(*way, *turn)[:size] for way, turn in movements])).T
 
-    def _forward(self, joints: Sequence[float]) -> tuple[Frame, list[_Drive]]:
-        """Return the frame of the part at these positions, and the axes of the driven joints and of their
-        followers in the world."""
+    def _forward(self, joints: Sequence[float]) -> tuple[Frame, list[Frame]]:
+        """Return the frame of the link at these positions, and those of all moving joints."""
         joints = list(joints)
         for follower, leader, mimic in self._followers:
             joints[follower] = mimic.position(joints[self._driven[leader]])
         end_frame = IDENTITY_FRAME
-        drives = [_Drive(IDENTITY_FRAME[0], IDENTITY_FRAME[0], True)] * len(joints)
-        for frame, axis, turning, index in self._segments:
-            end_frame = frames.compose(end_frame, frame)
-            if index is not None:
-                drive = drives[index] = _Drive(frames.rotate(end_frame[1], axis), end_frame[0], turning)
-                if turning:
-                    end_frame = (
-                        end_frame[0],
-                        frames.multiply(end_frame[1], frames.from_axis_angle(axis, joints[index])),
-                    )
-                else:
-                    end_frame = (
-                        frames.add(end_frame[0], frames.scaled(drive.axis, joints[index])),
-                        end_frame[1],
-                    )
-        indices = [*self._driven, *(follower for follower, _, _ in self._followers)]
-        return end_frame, [drives[index] for index in indices]
+        places = []
+        for (frame, axis, turns), value in zip(self._segments, joints, strict=True):
+            position, rotation = end_frame = frames.compose(end_frame, frame)
+            places.append(end_frame)
+            end_frame = (
+                (position, frames.multiply(rotation, frames.from_axis_angle(axis, value)))
+                if turns
+                else (frames.add(position, frames.scaled(frames.rotate(rotation, axis), value)), rotation)
+            )
+        return frames.compose(end_frame, self._tip), places
 
     def _with_followers(self, rows: FloatArray) -> FloatArray:
         """Return a row for each driven joint, from its own row and those of its followers."""
@@ -528,6 +503,15 @@ def _path(model: RobotModel, link: str) -> list[Joint]:
         path.append(above[link])
         link = above[link].parent
     return path[::-1]
+
+
+def _error(end_frame: Frame, goal: Triple, attitude: Quaternion | None) -> Sequence[float]:
+    """Return the way to the goal: of the position, and with an attitude of the rotation."""
+    way = frames.subtract(goal, end_frame[0])
+    if attitude is None:
+        return way
+    turn = _rotation_vector(frames.multiply(attitude, frames.inverse(end_frame[1])))
+    return (*way, *frames.scaled(turn, METERS_PER_RAD))
 
 
 def _rotation_vector(q: Quaternion) -> Triple:

@@ -552,7 +552,7 @@ class RobotController(WithMemories):
         ]
         driven = [(actuator, drive) for actuator, drive in drives if drive is not None]
         self._holds: list[Callable[[], object]] = [
-            drive.hold if hasattr(drive, "hold") else partial(_hold, engine, spec.name, actuator, drive)
+            drive.hold if hasattr(drive, "hold") else _hold(engine, spec.name, actuator, drive)
             for actuator, drive in driven
         ]
         # Actuators with `hold` have a state of their own.
@@ -606,12 +606,15 @@ class RobotController(WithMemories):
             hold()
 
 
-def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> None:
-    """Keep the joints of a plain motor where they are; a motor that commands torques lets its joints go."""
+def _hold(engine: Engine, robot: str, actuator: Actuator, drive: MotorWriter) -> Callable[[], object]:
+    """Return a function that keeps the joints of a plain motor where they are; a motor that commands torques
+    lets its joints go."""
     if isinstance(actuator, MotorSpec) and actuator.kind == "velocity_motor":
-        drive((0.0,) * len(actuator.joints))
-    elif isinstance(actuator, MotorSpec) and actuator.kind == "position_motor":
-        drive([state[0] for state in engine.joint_states(robot, actuator.joints)()])
+        return partial(drive, (0.0,) * len(actuator.joints))
+    if isinstance(actuator, MotorSpec) and actuator.kind == "position_motor":
+        read = engine.joint_states(robot, actuator.joints)
+        return lambda: drive([state[0] for state in read()])
+    return _nothing
 
 
 class SupervisedRobots(WithMemories):

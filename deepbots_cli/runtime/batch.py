@@ -281,7 +281,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
             single = self.singles[world]
             self.histories.starts[world] = single.random_state() if seed is None else seed
             self.histories.options[world] = world_options
-            single.reset(seed=seed, options=None if world_options is None else dict(world_options))
+            single.begin_episode(seed, world_options)
         self.histories.begin(worlds)
         self._take_over_from(worlds)
 
@@ -319,10 +319,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
             ):
                 if isinstance(start, dict):
                     single.set_random_state(start)
-                single.reset(
-                    seed=None if isinstance(start, dict) else start,
-                    options=None if world_options is None else dict(world_options),
-                )
+                single.begin_episode(None if isinstance(start, dict) else start, world_options)
             if begun:
                 self._take_over_from(begun)
                 on_begin(begun)

@@ -81,6 +81,9 @@ class FieldCodec:
         self._fields: Callable[[Any], Sequence[Any]] = (
             itemgetter(*slots) if len(slots) > 1 else partial(_each, slots)
         )
+        if len(slots) == 1:
+            (slot,) = slots
+            self._fields = lambda values: (values[slot],)
 
         def flattened(message: Sequence[Any]) -> Any:
             numbers: list[Any] = []
@@ -212,17 +215,13 @@ def struct_codec(layout_hash: int, codes: list[str]) -> Codec:
 
 def csv_codec(layout_hash: int, codes: list[str]) -> Codec:
     head = str(layout_hash)
+    cell = _csv_cell if any(code[-1] == "s" for code in codes) else repr
 
     def encode(*values: Value) -> str:
-        return ",".join([head, *map(_csv_cell, values)] if mixed else [head, *map(repr, values)])
+        return ",".join([head, *map(cell, values)])
 
-    mixed = any(code[-1] == "s" for code in codes)
     if set(codes) <= {"d"}:
-
-        def decode(message: str) -> list[float]:
-            return [float(cell) for cell in message.split(",")]
-
-        return Codec(encode, decode, _csv_parts)
+        return Codec(encode, lambda message: list(map(float, message.split(","))), _csv_parts)
 
     readers = [float, *(_CSV_READERS[code[-1]] for code in codes)]
 

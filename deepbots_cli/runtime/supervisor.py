@@ -382,6 +382,11 @@ class Supervisor(
             UsageError: `options` contains an unknown name, or a value that the episode cannot draw. The
                 running episode continues.
         """
+        self.begin_episode(seed, options)
+        return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
+
+    def begin_episode(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Begin an episode as `reset` does, whose results a batch does not need."""
         if self._closed:
             raise UsageError(_CLOSED)
         values = self.require_drawable(options) if options else None
@@ -409,7 +414,6 @@ class Supervisor(
                 f" {self.streams.root}); change the start or the ending"
             )
         self._go_on = self._advance
-        return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, Info]:
         """Advance by one step of the agent: act, simulate a timestep, observe and score.

@@ -190,6 +190,10 @@ class MuJoCoBatch(BatchReaders):
         self._pooled = [name for name in self.rows if name not in MOTOR_FIELDS]
         # `require_finite` of the shared engine names the springs of a world.
         self._usual_rows = frozenset(self.rows) - {"actuator_biasprm", "actuator_forcelimited"}
+        self._fields, self._nominal_fields = (
+            {name: _field(model, name) for name in VARIED_FIELDS}
+            for model in (self._world.model, self.nominal)
+        )
         self._batch: Any = None
         self._build()
         self.members = [BatchMember(self, index) for index in range(count)]
@@ -212,8 +216,9 @@ class MuJoCoBatch(BatchReaders):
             self.state[:] = before.state
             for name, rows in fields.items():
                 self.rows[name][:] = rows
-            for index, armature in self._updated_armatures.items():
-                self._update_constants(index, armature)
+            if self._updated_armatures:
+                worlds = sorted(self._updated_armatures)
+                self._update_constants(worlds, np.array([self._updated_armatures[i] for i in worlds]))
         for name in [
             *self._outputs,
             *["sensordata" for sensor in self._sensors if sensor.measures != "touch"][:1],
@@ -241,9 +246,9 @@ class MuJoCoBatch(BatchReaders):
             self._build()
         self.take_commands()
         goes = np.ones(self.count, bool) if running is None else running
-        for index in [index for index in self._stale if goes[index]]:
-            self._stale.discard(index)
-            self._update_constants(index, self.rows["dof_armature"][index].copy())
+        if stale := sorted(index for index in self._stale if goes[index]):
+            self._stale.difference_update(stale)
+            self._update_constants(stale, self.rows["dof_armature"][stale])
         if len(self._touch_columns):
             self.touched[goes] = False
         if self._force_means:
@@ -334,7 +339,7 @@ class MuJoCoBatch(BatchReaders):
         self.attached = index
         self._has_changes = True
         for name, rows in self.rows.items():
-            rows[index] = _field(self.nominal, name)
+            rows[index] = self._nominal_fields[name]
         if self._armature is not None:
             self._armature[index] = self.nominal.dof_armature
         if self._updated_armatures.pop(index, None) is not None:
@@ -366,7 +371,7 @@ class MuJoCoBatch(BatchReaders):
                 world.remember(self._remembered)
                 changed += self._pooled
             for name in changed:
-                _field(world.model, name)[...] = self.rows[name][index]
+                self._fields[name][...] = self.rows[name][index]
             world.invalidate()
             self.attached = index
         self._has_changes |= changes
@@ -387,12 +392,12 @@ class MuJoCoBatch(BatchReaders):
             self._take_armature(index)
             for name in VARIED_FIELDS:
                 if name not in self.rows and not np.array_equal(
-                    _field(world.model, name), _field(self.nominal, name)
+                    self._fields[name], self._nominal_fields[name]
                 ):
                     self.rows[name] = self._batch.expand(name)
             changed = [name for name in self.rows if name not in MOTOR_FIELDS]
         for name in changed:
-            self.rows[name][index] = _field(world.model, name)
+            self.rows[name][index] = self._fields[name]
         self._memories[index] = self._remembered = world.memory()
         self._forget()
 
@@ -405,16 +410,20 @@ class MuJoCoBatch(BatchReaders):
         if self._armature is not None:
             self._armature[index] = self.rows["dof_armature"][index] = usual
 
-    def _update_constants(self, index: int, armature: Column) -> None:
-        """Recompute the constants of the model that depend on the masses of a world."""
-        now = self.rows["dof_armature"][index].copy()
-        self.rows["dof_armature"][index] = armature
-        self._batch.set_const([index])
-        self.rows |= {
-            name: self._batch.expand(name) for name in VARIED_FIELDS if self._batch.expanded(name) is not None
-        }
-        self.rows["dof_armature"][index] = now
-        self._updated_armatures[index] = armature
+    def _update_constants(self, worlds: list[int], armatures: Column) -> None:
+        """Recompute the constants of the model that depend on the masses of these worlds, in ascending
+        order."""
+        now = self.rows["dof_armature"][worlds]
+        self.rows["dof_armature"][worlds] = armatures
+        self._batch.set_const(worlds)
+        if not self._updated_armatures:  # the first time, `set_const` expands all fields that it computes
+            self.rows |= {
+                name: self._batch.expand(name)
+                for name in VARIED_FIELDS
+                if self._batch.expanded(name) is not None
+            }
+        self.rows["dof_armature"][worlds] = now
+        self._updated_armatures |= zip(worlds, armatures, strict=True)
 
     def pushes(self, number: int, frame: Literal["world", "link"]) -> Pushes:
         """Return the pushes with this number, which are new if no member has bound them yet."""

@@ -82,17 +82,19 @@ class MuJoCoEngine:
         model = world.model
         data = world.data
         contact_monitor = self._contact_monitor
-        advance = sliding.advance if self._wrench_monitor is None else self._wrench_monitor.step
+        advance: Callable[..., None] = (
+            sliding.stepper() if self._wrench_monitor is None else self._wrench_monitor.step
+        )
         callbacks = self._substep_callbacks
         gain_updates = self.motors.gain_updates
         if not (callbacks or gain_updates or world.has_pushes or self._wrench_monitor):
             if contact_monitor is None:
                 # One call for 8 substeps of a free body takes 12.6 us, 8 calls take 14.4 us.
-                sliding.advance(model, data, substeps)
+                advance(model, data, substeps)
             else:
                 contact_monitor.reset()
                 for _ in range(substeps):
-                    sliding.advance(model, data)
+                    advance(model, data)
                     contact_monitor.update()
             world.invalidate()
             return

@@ -40,7 +40,7 @@ class Motors:
     def __init__(self, world: MujocoWorld) -> None:
         self.world = world
         self._motor_of_joint: dict[int, Motor] = {}
-        self.gain_updates: dict[Motor, Callable[[], None]] = {}
+        self.gain_updates: dict[Motor, Callable[[], object]] = {}
         """The functions to call before each engine step, for motors whose limits keep them from their
         targets."""
         self.nominal_inverse_inertia = world.model.dof_invweight0.copy()
@@ -64,7 +64,7 @@ class Motors:
             self._motor_of_joint[joint] = motor
         motor.is_active = True
 
-    def restore(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], None]]) -> None:
+    def restore(self, of_joint: dict[int, Motor], renewed: dict[Motor, Callable[[], object]]) -> None:
         """Let these motors drive joints, and no others."""
         for motor in self._motor_of_joint.values():
             motor.is_active = False
@@ -83,20 +83,19 @@ class Motors:
         model = self.world.model
         joints = list(joints)
         dofs = model.jnt_dofadr[joints]
-        exerted = world.data.qfrc_actuator
-        armature = model.dof_armature
-        accelerations = world.data.qacc
-        usual = world.armature
+        exerted, armature, usual, accelerations = (
+            array_reader(array, dofs)
+            for array in (world.data.qfrc_actuator, model.dof_armature, world.armature, world.data.qacc)
+        )
         ranges = model.jnt_actfrcrange
 
         def read() -> list[float]:
-            added = armature[dofs] - usual[dofs]
-            torques: Any = exerted[dofs]
-            if added.any():
+            torques = exerted()
+            if armature() != usual():
                 lows, highs = ranges[joints].T
-                torques = np.minimum(np.maximum(torques - added * accelerations[dofs], lows), highs)
-            read_torques: list[float] = torques.tolist()
-            return read_torques
+                added = np.subtract(armature(), usual())
+                torques = np.minimum(np.maximum(torques - added * accelerations(), lows), highs).tolist()
+            return torques
 
         return read
 
@@ -250,10 +249,11 @@ class Motor:
         inertias = model.dof_M0[self._dof_index].tolist()
         moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
-        # The third bound is the error at which the largest gain exerts the limit.
-        bounds = [(most, limit, limit / most) for most, limit in zip(stiff, self._limits, strict=True)]
-        # Gains below these are renewed in each engine step.
-        least = [4.0 * inertia * rate if rate else inertia / step for inertia in inertias]
+        bounds = [
+            (most, limit, limit / most, 4.0 * inertia * rate if rate else inertia / step)
+            for most, limit, inertia in zip(stiff, self._limits, inertias, strict=True)
+        ]
+        factor = rate or 1.0
         # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
@@ -264,23 +264,24 @@ class Motor:
         actuators = [self._motors.actuators[joint] for joint in self.joints]
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
         addresses = [width * actuator for actuator in actuators]
-        by_joint = list(zip(actuators, addresses, dofs, moved, strict=True))
+        by_joint = list(zip(addresses, dofs, moved, strict=True))
 
-        def aim(targets: Sequence[float]) -> None:
+        def aim(targets: Sequence[float]) -> bool:
+            """Renew gains; return whether a gain must be renewed in each engine step."""
             target_velocities = targets
             if rate:
                 targets = list(map(max, lows, map(min, highs, targets)))
                 pairs = zip(targets, position(), strict=True)
                 target_velocities = [(target - now) * rate for target, now in pairs]
-            gains = velocity_gains(target_velocities, velocity(), bounds)
+            gains, waits = velocity_gains(target_velocities, velocity(), bounds)
             targets = tuple(targets)
             if gains == self.gains and targets == self.targets:
-                return
+                return waits
             if gains != self.gains:
                 if not self.gains:  # the motor begins, perhaps in an episode with another armature
                     usual[:] = self._world.armature[self._dof_index].tolist()
                 self.gains = gains
-                for gain, base, (_, address, dof, inertia) in zip(gains, usual, by_joint, strict=True):
+                for gain, base, (address, dof, inertia) in zip(gains, usual, by_joint, strict=True):
                     added = gain * step
                     bias[address + 2] = -gain
                     armature[dof] = base + added
@@ -288,15 +289,15 @@ class Motor:
                     if rate:
                         bias[address + 1] = -gain * rate
             self.targets = targets
-            for gain, target, (act, *_) in zip(gains, targets, by_joint, strict=True):
-                ctrl[act] = gain * (rate or 1.0) * target
+            for gain, target, act in zip(gains, targets, actuators, strict=True):
+                ctrl[act] = gain * factor * target
+            return waits
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=True)
                 self.gains = []
-            aim(targets)
-            if any(gain < bound for gain, bound in zip(self.gains, least, strict=True)):
+            if aim(targets):
                 renewed[self] = partial(aim, tuple(targets))
             else:
                 renewed.pop(self, None)
@@ -317,18 +318,29 @@ def servo_rate(model: Any) -> float:
 
 
 def velocity_gains(
-    targets: Sequence[float], velocities: Sequence[float], bounds: Sequence[tuple[float, float, float]]
-) -> list[float]:
-    """Return the gains of a velocity motor; `bounds` are the largest gain, the limit, and the error at which
-    this gain exerts the limit."""
+    targets: Sequence[float],
+    velocities: Sequence[float],
+    bounds: Sequence[tuple[float, float, float, float]],
+) -> tuple[list[float], bool]:
+    """Return the gains of a velocity motor, and whether they must be renewed in each engine step.
+
+    `bounds` are the largest gain, the limit, the error at which this gain exerts the limit, and the gain below
+    which gains are renewed.
+    """
     gains = []
-    for target, now, (stiffest, limit, error_at_limit) in zip(targets, velocities, bounds, strict=True):
+    waits = False
+    for target, now, (stiffest, limit, error_at_limit, least) in zip(
+        targets, velocities, bounds, strict=True
+    ):
         off = abs(target - now)
-        least = MIN_ERROR_SHARE * abs(target)
-        if least > off:
-            off = least
-        gains.append(limit / off if off > error_at_limit else stiffest)
-    return gains
+        smallest = MIN_ERROR_SHARE * abs(target)
+        if smallest > off:
+            off = smallest
+        gain = limit / off if off > error_at_limit else stiffest
+        gains.append(gain)
+        if gain < least:
+            waits = True
+    return gains, waits
 
 
 def array_index(numbers: Sequence[int]) -> Any:

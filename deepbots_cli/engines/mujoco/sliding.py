@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import ctypes
 import re
+from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from math import sqrt
@@ -113,10 +114,16 @@ def _is_installed() -> bool:
 
 def advance(model: Any, data: Any, steps: int = 1) -> None:
     """Take steps of a model, with the same results in Python and by the callback."""
+    stepper()(model, data, steps)
+
+
+def stepper() -> Callable[..., None]:
+    """Return the function that `advance` calls until other code runs."""
+    return mj.mj_step if _is_installed() else _advance_in_python
+
+
+def _advance_in_python(model: Any, data: Any, steps: int = 1) -> None:
     global _python_steps
-    if _is_installed():
-        mj.mj_step(model, data, steps)
-        return
     with _lock:
         for _ in range(steps):
             mj.mj_step1(model, data)
