@@ -249,6 +249,8 @@ def result_of(task: Task) -> str:
         return f"{task.record.output} is written"
     if task.is_running:
         return task.activity
+    if not task.verdict and task.exit_code:
+        return "stopped" if task.exit_code == _INTERRUPTED else "failed; the last lines say why"
     is_random = task.record.words[0] == "try" and "--driver" not in task.record.words
     return f"Random actions: {task.verdict}" if task.verdict and is_random else task.verdict
 

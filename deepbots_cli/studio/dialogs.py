@@ -179,7 +179,8 @@ class RobotUpload:
     async def _corrected(self, path: Path, content: bytes) -> bytes | None:
         """Return the content of a robot file without errors, which the person corrects; None if they leave
         it."""
-        if (await _read_robot(self._session, path, content)).build is not None:
+        first = await _read_robot(self._session, path, content)
+        if first.build is not None:
             return content
 
         async def check(text: str) -> None:
@@ -187,20 +188,28 @@ class RobotUpload:
             if robot.build is not None:
                 dialog.submit(text.encode())
             editor.set_value(text)
+            editor.reveal_line(robot.line)
             problem.set_text(robot.problem)
             fixes.clear()
             with fixes:
                 for title, corrected in robot.fixes.items():
                     ui.button(title, on_click=partial(check, corrected)).props("dense outline no-caps")
 
-        with ui.dialog().props('aria-label="Errors"') as dialog, ui.card().classes("studio-dialog"):
+        # While a dialog grows, which is the default, the editor measures wrong heights of its lines.
+        with (
+            ui.dialog().props('aria-label="Errors" transition-show=fade') as dialog,
+            ui.card().classes("studio-dialog"),
+        ):
             ui.label(f"{path.name} has errors").classes("studio-heading")
             problem = ui.label("").classes("studio-problem studio-text-line")
             fixes = ui.element("div").classes("studio-bar")
-            editor = ui.codemirror(language="XML", line_wrapping=True).classes("studio-wide")
+            editor = ui.codemirror(language="XML", theme="githubLight", line_wrapping=True).classes(
+                "studio-wide"
+            )
             # The places of the fixes are those of the text that was checked.
             editor.on_value_change(fixes.clear)
             _add_buttons(dialog, "Check again", lambda: check(editor.value))
+        dialog.on("show", lambda: editor.reveal_line(first.line))
         dialog.open()
         await check(content.decode("utf-8", "replace"))
         corrected: bytes | None = await dialog

@@ -173,7 +173,7 @@ class TaskOutput:
             sentence = result_of(task)
             self._sentence.set_text(sentence or ("running ..." if code is None else ""))
             self._sentence.classes(**{"add" if code is None else "remove": "studio-runs"})
-            if sentence:
+            if code == 0 and sentence:
                 self._details.props(remove="open")
 
 

@@ -58,6 +58,9 @@ _PERCENT = "value => value == null ? '' : `${Math.round(100 * value)}%`"
 _RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))} in ${row.score}`"
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
+_CHANGE = (
+    """<q-td :props="props"><div class="studio-clamped" :title="props.value">{{ props.value }}</div></q-td>"""
+)
 _AGE_INTERVAL_S = 30.0
 _VIDEO_SIZE = "720x480"
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
@@ -71,12 +74,7 @@ _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("solved", "solved", "left", _SHORT),
     ("steps", "steps", "right", {**_WIDE, ":format": _COUNT}),
     ("when", "when", "left", {**_WIDE, ":format": _AGE}),
-    (
-        "change",
-        "changed",
-        "left",
-        {"style": "overflow-wrap: anywhere", "classes": "studio-change"},
-    ),
+    ("change", "changed", "left", {"classes": "studio-change"}),
 )
 """Name, label, alignment and other properties of each column of the table."""
 _OPTIONAL = ("success", "solved", "scenario")
@@ -142,7 +140,8 @@ class RunsTab:
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
-        self._table.add_slot("body-cell-solved", _SOLVED)
+        for name, cell in (("solved", _SOLVED), ("change", _CHANGE)):
+            self._table.add_slot(f"body-cell-{name}", cell)
         self._table.on("rowClick", self._select, [["ctrlKey", "metaKey", "shiftKey"], ["name"], None])
         self._table.on_select(lambda _: self._show_buttons())
 

@@ -197,12 +197,12 @@ class Shown:
     async def look(self, *, reads: bool) -> None:
         """Take the news of commands, and with `reads` those of the files of the training."""
         ended, runs = self._commands.look()
+        if ended or runs:
+            self._tell("task")
         for task in ended:
             if self.training is not None:
                 self.training.watch_again()
             self.say(self._commands.end_of(task))
-        if ended or runs:
-            self._tell("task")
         training = self.training
         if training is None:
             return

@@ -146,7 +146,7 @@ class TrainingTab:
                 else ""
             )
             self._drawn = None
-            self._draw(None, has_successes=False)
+            self._draw(None)
             return
         activity = task.activity if task is not None and is_running else ""
         if is_running and not activity and (run.state == "finished" or training.stands_still):
@@ -157,9 +157,9 @@ class TrainingTab:
         key = (run.path, training.log, self._is_dark)
         if key != self._drawn:
             self._drawn = key
-            self._draw(training.log, has_successes=run.success_rate is not None)
+            self._draw(training.log)
 
-    def _draw(self, log: TrainingLog | None, *, has_successes: bool) -> None:
+    def _draw(self, log: TrainingLog | None) -> None:
         """Draw the curves; without returns, there is no chart."""
         self._note.set_visibility(log is not None and log.evaluations is not None)
         if log is None:
@@ -168,7 +168,7 @@ class TrainingTab:
             return
         gray = " A click on a gray name draws a reward term." if len(log.terms) > 1 else ""
         self._note.set_text(f"{_EXPLORING}{gray}")
-        options = training_chart(log, has_successes=has_successes, dark=self._is_dark)
+        options = training_chart(log, dark=self._is_dark)
         if self._chart is None:
             with self._chart_place:
                 self._chart = ui.echart(options).classes("studio-chart")

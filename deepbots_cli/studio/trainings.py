@@ -44,6 +44,8 @@ _ICONS: dict[_Kind, str] = {
     "marks": "circle",
 }
 """The icon of each kind of line in the legend. By default, ECharts shows a circle for all of them."""
+_LEAST_TICK = 0.05
+"""The least distance of two lines of the grid, of the largest return: equal returns are not magnified."""
 _MARGIN = "8%"
 """The distance of the lowest and the highest point from the ends of an axis, of the range of the points."""
 
@@ -151,7 +153,9 @@ class WatchedTraining:
             log = read_training(self.path)
             if log is not None:
                 log.solved_return = self._goal
-                log.planned_steps = float(listed.total_timesteps or 0) if listed.state == "training" else 0.0
+                # The last episode may have ended long before the last step.
+                steps = listed.total_timesteps if listed.state == "training" else listed.steps
+                log.planned_steps = float(steps or 0)
             self.log, self.problem = log, listed.problem or ""
         except RunError as error:
             self.problem = str(error)
@@ -227,13 +231,16 @@ def _started(path: Path) -> float:
 # Charts
 
 
-def training_chart(log: TrainingLog, *, has_successes: bool, dark: bool) -> dict[str, Any]:
+def training_chart(log: TrainingLog, *, dark: bool) -> dict[str, Any]:
     """Return the chart of a training as ECharts takes it."""
+    evaluations = log.evaluations
+    if evaluations is None and log.evaluation is not None:  # the one after the training
+        evaluations = np.array([log.last_step]), np.array([log.evaluation.mean_return])
     lines = [
         _line("return in training", log.returns, 0),
-        _line("evaluated return", log.evaluations, 0, "marks"),
+        _line("evaluated return", evaluations, 0, "marks"),
     ]
-    has_successes = has_successes or log.successes is not None
+    has_successes = log.successes is not None
     if has_successes:
         lines += [
             _line("success in training", log.successes, 1),
@@ -335,8 +342,13 @@ def _range(logs: Iterable[TrainingLog]) -> dict[str, Any]:
     options have would stay and cut off later points.
     """
     curves = (curve for log in logs for curve in log.curves("mean_return") if curve is not None)
-    has_negative = any((values < 0).any() for _, values in curves)
-    return {"scale": has_negative, "boundaryGap": [_MARGIN if has_negative else 0, _MARGIN]}
+    values = np.concatenate([np.zeros(1), *(values[np.isfinite(values)] for _, values in curves)])
+    has_negative = bool((values < 0).any())
+    return {
+        "scale": has_negative,
+        "boundaryGap": [_MARGIN if has_negative else 0, _MARGIN],
+        "minInterval": _LEAST_TICK * float(np.abs(values).max()),
+    }
 
 
 def _goals(logs: Iterable[TrainingLog], *, dark: bool) -> list[dict[str, Any]]:
@@ -355,14 +367,16 @@ def _goals(logs: Iterable[TrainingLog], *, dark: bool) -> list[dict[str, Any]]:
 
 
 def _line(name: str, curve: Curve | None, axis: int, kind: _Kind = "line") -> dict[str, Any]:
-    """Return a line over the axis of returns (0) or of successes in percent (1)."""
+    """Return a line over the axis of returns (0) or of successes in percent (1); dots, if all its episodes
+    ended at one timestep."""
+    is_short = curve is not None and len(curve[0]) > 0 and curve[0][0] == curve[0][-1]
     return {
         "name": name,
         "type": "line",
         "kind": kind,
         "yAxisIndex": axis,
         "data": [] if curve is None else _points(curve, 100.0 if axis else 1.0),
-        "showSymbol": kind == "marks",
+        "showSymbol": kind == "marks" or is_short,
         "symbol": "circle",
         "symbolSize": 7,
         "lineStyle": {

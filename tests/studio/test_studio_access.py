@@ -43,6 +43,8 @@ from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.report import Activity, ProgressReporter, TrainingProgress
+from deepbots_cli.learning.runs.episodes import Episode
+from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.studio.commands import (
     EXIT_NAME,
     LOG_NAME,
@@ -676,7 +678,7 @@ def _log(*returns: float, **fields: Any) -> TrainingLog:
 
 
 def _chart(log: TrainingLog) -> dict[str, Any]:
-    return training_chart(log, has_successes=False, dark=False)
+    return training_chart(log, dark=False)
 
 
 def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before():
@@ -748,7 +750,22 @@ def test_a_notice_about_a_command_that_ended_is_short_and_its_verdict_is_in_the_
     (tmp_path / VERDICT_NAME).write_text(verdict)
     (tmp_path / EXIT_NAME).write_text(str(code))
     assert Commands(tmp_path, Permissions(), print).end_of(task) == notice
-    assert result_of(task).removeprefix("Random actions: ") == verdict
+    result = verdict or {2: "failed; the last lines say why", 130: "stopped"}[code]
+    assert result_of(task).removeprefix("Random actions: ") == result
+
+
+def test_episodes_that_all_ended_at_one_step_are_drawn_as_dots_beside_the_evaluation():
+    returns = np.full(8, 7_504.0), np.full(8, -3.0)
+    episodes = [Episode(-2.0, 9, False, None)]
+    result = EvaluationResult.of_episodes(
+        episodes, outcomes=episodes, model="last", seed=0, success_defined=False, solved=None
+    )
+    options = _chart(TrainingLog(Path("run"), "", returns=returns, evaluation=result, planned_steps=12_288.0))
+    assert options["xAxis"]["max"] == 12_288.0
+    assert [line["data"][-1] for line in options["series"]] == [(7_504.0, -3.0), (12_288.0, -2.0)]
+    assert all(line["showSymbol"] for line in options["series"])
+    assert options["yAxis"][0]["minInterval"] > 0.1
+    assert not options["yAxis"][1]["show"]
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():

@@ -542,6 +542,15 @@ def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(f
         drop(page, dropped)
         page.wait("!!document.querySelector('.studio-dialog .cm-line')")
         assert "without <parent>" in page.tab.run("document.querySelector('.studio-dialog').innerText")
+        # The line of the error is in view, and no line number covers another one.
+        page.wait(
+            """(() => { const editor = document.querySelector('.studio-dialog .cm-scroller');
+            const { top, bottom } = editor.getBoundingClientRect();
+            const numbers = [...editor.querySelectorAll('.cm-lineNumbers .cm-gutterElement')];
+            const places = numbers.map(one => one.getBoundingClientRect().top).slice(1);
+            const error = numbers.find(one => one.innerText == '59')?.getBoundingClientRect();
+            return error?.top >= top && error?.bottom <= bottom && new Set(places).size == places.length; })()"""
+        )
         page.click("Correct line 60")
         task = (
             "[...document.querySelectorAll('.q-radio')].find(one => /drives to a mark/.test(one.innerText))"

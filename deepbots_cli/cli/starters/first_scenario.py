@@ -487,10 +487,11 @@ def drivable(model: RobotModel, urdf: str) -> tuple[Build, dict[str, dict[str, s
 @dataclass(frozen=True)
 class DroppedRobot:
     """A robot file that need not be written yet: its parts, or else what is wrong with it, a line for each
-    finding, and the text after each fix, by what the fix does."""
+    finding, its first line in the file, and the text after each fix, by what the fix does."""
 
     build: Build | None
     problem: str = ""
+    line: int = 1
     fixes: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -509,7 +510,7 @@ class DroppedRobot:
                 for finding in listed
                 if finding.fix
             }
-            return cls(None, render(listed, "concise"), fixes)
+            return cls(None, render(listed, "concise"), listed[0].span.start_position.line, fixes)
         try:
             return cls(drivable(file.model, path.name)[0])
         except UsageError as error:
