@@ -61,6 +61,10 @@ class Started:
         replace(self, points=marks.points).write()
         return marks
 
+    def shown_hints(self, step: str) -> tuple[str, ...]:
+        """Return the hints of a step that the student has seen."""
+        return tuple(self.lesson().steps[step].hints[: self.hints.get(step, 0)])
+
     def next_hint(self, step: str) -> tuple[int, str]:
         """Return the number of the next hint of a step and the hint, and count it; the last one stays.
 

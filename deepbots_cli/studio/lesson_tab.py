@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import re
+from functools import partial
 
 from nicegui import run, ui
 
@@ -12,6 +14,12 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.studio.layout import ICONS, text_with_code
 from deepbots_cli.studio.session import Session
 
+_ON_THE_PAGE = {
+    "course check": "press Check",
+    r"train \w+\.yaml": "press Train",
+    r"view \S+ --driver (\w+) --open": r"choose Driver: \1",
+}
+"""What does the same on the page as a command of a text."""
 _TYPED_S = 0.6
 """The time in s after which the text that was typed last has arrived from the browser."""
 
@@ -39,12 +47,15 @@ class LessonTab:
         with ui.element("div").classes("studio-lesson"):
             text = lesson.text("text.md").replace("](world.png)", f"]({self._picture()})")
             text = text.replace("```yaml part", "```yaml")  # which the renderer does not know
+            for command, words in _ON_THE_PAGE.items():
+                text = re.sub(rf"(?m)^\$ deepbots {command}$", rf"\g<0>  # or {words}", text)
             ui.markdown(text).classes("studio-answer studio-lesson-text")
             self._steps = ui.element("div").classes("studio-lesson-steps")
         with self._steps:
             for name, step in lesson.steps.items():
                 self._heading(name, f"{step.points} points")
                 text_with_code(step.goal)
+                self._list_hints(name, ui.element("div"))
 
     def _picture(self) -> str:
         """Return the address of the picture of the world, which the page of the studio may read."""
@@ -91,21 +102,31 @@ class LessonTab:
                         ui.label(check.reason).classes("studio-lesson-reason")
                 if step.common_reason:
                     ui.label(step.common_reason).classes("studio-lesson-reason")
+                hints = ui.element("div")
+                self._list_hints(step.step, hints)
                 if step.points < step.of:
-                    ui.button("Hint", on_click=lambda _, name=step.step: self._hint(name)).props(
+                    ui.button("Hint", on_click=partial(self._hint, step.step, hints)).props(
                         "dense flat no-caps"
                     )
             for remark in marks.all_remarks:
                 ui.label(remark).classes("studio-lesson-reason")
 
-    def _hint(self, step: str) -> None:
+    def _hint(self, step: str, hints: ui.element) -> None:
         started = started_in(self._session.folder)
         if started is not None:
             try:
-                number, hint = started.next_hint(step)
-                self._session.shown.say(f"{step}, hint {number}: {hint}")
+                started.next_hint(step)
+                self._list_hints(step, hints)
             except DeepbotsError as error:
                 self._session.shown.say(str(error), is_warning=True)
+
+    def _list_hints(self, step: str, place: ui.element) -> None:
+        """Show the hints of a step that were asked for in an element."""
+        started = started_in(self._session.folder)
+        place.clear()
+        with place:
+            for number, hint in enumerate(started.shown_hints(step) if started is not None else (), 1):
+                text_with_code(f"Hint {number}: {hint}").classes("studio-lesson-reason")
 
     def _heading(self, name: str, points: str) -> None:
         with ui.element("div").classes("studio-lesson-heading"):
