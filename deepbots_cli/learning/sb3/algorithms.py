@@ -432,7 +432,7 @@ def _memory() -> int | None:
     """Return the memory in bytes that this machine or its container has; None on Windows."""
     if not hasattr(os, "sysconf"):
         return None
-    limits = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
+    limits: list[int] = [os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")]
     for path in CONTAINER_LIMITS:
         with suppress(OSError, ValueError):  # there is no such file, or it says `max`
             limits.append(int(path.read_text()))
