@@ -276,7 +276,7 @@ def _check_part(path: str, part: Node, step: Step) -> None:
             words += [word for word in names if not {word, word.split(".")[0]} & {*step.allowed}]
             if words:
                 raise HandInError(
-                    f"`{words[0]}` may not be used in `{path}` ({node.span.location}): this step does not allow it"
+                    f"`{words[0]}` may not be used in `{path}` ({node.span.location}) in this step"
                 )
         if step.only and len(inner) == 1 and inner[0] not in step.only:
             allowed = ", ".join(f"`{name}`" for name in step.only)
@@ -288,7 +288,7 @@ def _check_part(path: str, part: Node, step: Step) -> None:
             if len(inner) == 2 and kind not in step.sensors:
                 allowed = ", ".join(step.sensors)
                 raise HandInError(
-                    f"a sensor of type `{kind}` is not allowed here ({node.span.location}); allowed: {allowed}"
+                    f"a sensor of type `{kind}` is not allowed ({node.span.location}); allowed: {allowed}"
                 )
 
 

@@ -161,10 +161,10 @@ class Controller:
 
     def _normalized(self, module: Module, call: ast.Call, name: str) -> Normalized | None:
         keywords = {keyword.arg: keyword.value for keyword in call.keywords}
-        given = dict(
+        positional = dict(
             zip(("value", "min_val", "max_val", "new_min", "new_max", "clip"), call.args, strict=False)
         )
-        arguments = given | keywords
+        arguments = positional | keywords
         low, high = stated_number(arguments.get("min_val")), stated_number(arguments.get("max_val"))
         if low is None or high is None or not low < high or None in keywords:
             return None
@@ -218,13 +218,13 @@ def controllers(modules: Sequence[Module], bases: frozenset[str]) -> list[Contro
     for module in modules:
         for node in module.classes:
             classes.setdefault(node.name, []).append((module, node))
-    found = []
+    controllers = []
     for module, node in [pair for pairs in classes.values() for pair in pairs][:MAX_CLASSES]:
         controller = Controller(node.name, modules)
         if _collect(controller, module, node, bases, classes):
-            found.append(controller)
-    further = {id(base) for controller in found for base in controller.nodes[1:]}
-    return [controller for controller in found if id(controller.nodes[0]) not in further]
+            controllers.append(controller)
+    further = {id(base) for controller in controllers for base in controller.nodes[1:]}
+    return [controller for controller in controllers if id(controller.nodes[0]) not in further]
 
 
 def _collect(

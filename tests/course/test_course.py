@@ -169,7 +169,7 @@ def test_a_failed_test_says_what_the_robot_of_the_student_did(
         (
             "sense",
             SENSE % "{angle: {type: camera, link: cart}}",
-            "a sensor of type `camera` is not allowed here",
+            "a sensor of type `camera` is not allowed",
         ),
         ("sense", None, "there is no sense.yaml"),
     ],

@@ -283,7 +283,7 @@ class _Request:
         ]
 
     def write(self, results: Sequence[EvaluationResult], groups: Sequence[GroupResult] = ()) -> None:
-        """Write each episode as CSV, and each evaluation for LaTeX, with the statistics over the seeds of groups."""
+        """Write each episode as CSV, and for LaTeX each evaluation and the statistics of groups over seeds."""
         if self.csv is not None:
             records.write_csv(self.csv, results)
         named = (

@@ -430,8 +430,8 @@ class Confirmation:
         returns: The lowest and the highest return of an episode: the possible ones, or else those seen so
             far.
         episodes: The largest number of new starts: that of `solved`, or more so that a good policy passes. A
-            policy halfway between the required rate and 100 % must pass with a probability of `POWER`; a
-            policy with the expected mean return must pass with its `ROOM`th part.
+            policy halfway between the required rate and 100 % must pass with a probability of `POWER`. For a
+            mean return, it is `ROOM` times the number after which equal returns of the expected mean pass.
         successes: The number of required successes; 0 if `solved` has no success rate.
     """
 
