@@ -196,11 +196,11 @@ def grade(
             begun = [future for future in futures if not future.cancel()]
             if not isinstance(error, KeyboardInterrupt):
                 raise
-            raise Interrupted(_together(lesson, [future.result() for future in begun])) from None
-    return _together(lesson, marks)
+            raise Interrupted(judged_together(lesson, [future.result() for future in begun])) from None
+    return judged_together(lesson, marks)
 
 
-def _together(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
+def judged_together(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
     """Return the marks of a class: a policy that was copied earns nothing, nor do guards beside it alone."""
     judged = []
     for one in without_copies(lesson, marks):

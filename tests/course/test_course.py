@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.course.copies import Weights, without_copies
-from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of
+from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
 from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
 from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right
@@ -451,6 +451,16 @@ def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_o
     copied = [replace(class_marks[0], steps=(refused,)), class_marks[1]]
     assert [one.points for one in without_copies(lesson_named("reward"), copied)] == [0, 5]
     assert judged[6].copies == ("complete: the same policy as complete-0-1/step.zip of kim",)
+
+
+def test_a_guard_beside_a_policy_that_was_copied_earns_nothing() -> None:
+    class_marks = []
+    for one in (given_marks("ada", 1.0, "p"), given_marks("bob", 1.0, "q")):
+        (step,) = one.steps
+        unearned = replace(step.checks[0], points=0)
+        class_marks.append(replace(one, steps=(replace(step, checks=(unearned, *step.checks[1:])),)))
+    assert [one.points for one in class_marks] == [4, 4]
+    assert [one.points for one in judged_together(lesson_named("reward"), class_marks)] == [0, 0]
 
 
 POLICY_LESSON = """
