@@ -153,8 +153,9 @@ def substeps(environment: Supervisor) -> int:
 def blind(environment: Supervisor) -> None:
     """Let its engine look at nothing after a substep; that changes no motion."""
     engine: Any = environment.engine  # of any type: the port has no way to take monitors away
-    engine._substeps.resets.clear()
-    engine._substeps.monitors.clear()
+    starts, monitors = engine._substeps.starts, engine._substeps.monitors
+    starts[:] = [start for start in starts if start.__name__ != "reset"]  # resets of monitors
+    monitors.clear()
 
 
 def require_same_motion(one: Supervisor, other: Supervisor, episode: ConstantActionEpisode) -> None:
