@@ -59,7 +59,7 @@ def solved_verdict(
 
     Args:
         solved: The criterion of the scenario.
-        done: The episodes.
+        outcomes: The episodes.
         returns: The lowest and the highest possible return.
         number: The number of the confirmation that the episodes are; None for a policy that is confirmed,
             whose episodes need only meet the criterion.
