@@ -131,7 +131,9 @@ class Tasks:
                 raise
             self._finish(call, None)
         else:
-            if isinstance(outcome, Refusal):
+            if isinstance(outcome, Refusal) and is_stopping:
+                self._finish(call, None)
+            elif isinstance(outcome, Refusal):
                 self._repeat_elsewhere(call, outcome)
             else:
                 self._finish(call, outcome)

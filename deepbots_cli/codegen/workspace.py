@@ -588,9 +588,10 @@ class SupervisorPrinter(ClassPrinter):
         robot = next(robot for robot in self.scenario.robots if robot.name == name.partition(".")[0])
         if self.scenario.format != "none" and not robot.from_route.perfect:
             return f"self.{generated.channel(robot.name, 'from_robot')}.{leaf.function}"
-        if leaf.function == "message_received":
-            return "True"
         late = self.scenario.format != "none" and self.scenario.timing == "delayed"
+        if leaf.function == "message_received":
+            # A late message of the start is the first one, and the next one arrives in the second timestep.
+            return f"({self.tick} != 1)" if late else "True"
         return f"({self.scenario.world.timestep!r} * ({self.tick} > 0))" if late else "0.0"
 
 

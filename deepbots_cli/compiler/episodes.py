@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from math import ceil, floor, inf, log10
 from typing import Literal
 
 from deepbots_cli.compiler.namespace import (
@@ -101,17 +102,23 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
     latency, loss, range_ = (_setting(spec, name, namespace) for name in ("latency", "loss", "range"))
     burst = namespace.fields.fixed(spec, "burst", scope=namespace.scope(Context.FIELD))
     if burst is not None and loss is not None:
-        highest = loss.typed.type.interval.high
+        lowest, highest = loss.typed.type.interval.low, loss.typed.type.interval.high
         # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at
-        # most.
-        if burst / (burst + 1.0) < min(highest, 1.0) < 1.0:
-            least = f"{highest / (1.0 - highest):.3g}"
+        # most. With a loss of exactly 100 %, there is none between.
+        most = burst / (burst + 1.0)
+        if most < highest and lowest < 1.0:
+            share = f"{floor(1000.0 * most) / 10.0:g} %"
+            help = f"keep `loss` at {share} or below"
+            if highest < 1.0:
+                least = highest / (1.0 - highest)
+                unit = 10.0 ** (floor(log10(least)) - 2)  # three digits, rounded up
+                help += f", or write a `burst` of at least {ceil(least / unit) * unit:.6g}"
             values.add(
                 "DB105",
                 values.field(spec, "burst").span,
-                f"with a loss of {100.0 * highest:g} %, `burst` must be at least {least} messages,"
-                f" but it is {burst:g}",
-                f"write a `burst` of at least {least}",
+                f"with a `burst` of {burst:g} messages, at most {share} can be lost, but `loss`"
+                f" reaches {100.0 * highest:g} %",
+                help,
             )
     return Route(latency, loss, burst, range_, spec.order, spec.on_loss)
 
@@ -710,8 +717,9 @@ def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -
 def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
     """Return how to define a success of episodes of at most `limits` and a control step of `timestep` s, or
     to write `instead`."""
-    seconds = limits.max_time or (limits.max_steps or 0) * timestep
-    if has_failures and seconds:
+    steps = limits.max_steps
+    seconds = min(limits.max_time or inf, inf if steps is None else steps * timestep)
+    if has_failures and seconds < inf:
         lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
         success = (
             f"`{lasting}` (95 % of the longest episode), if an episode without a failure is a success, or"

@@ -79,9 +79,6 @@ each update."""
 
 Action = tuple[Choices | ActionRange, ...]
 
-_SNAPSHOTS = 20
-"""The number of past policies that a training with self-play keeps in all by default."""
-
 MAX_VARIANTS = 64
 """The maximum number of cases and stages of one scenario; each is compiled."""
 MAX_VALUES = 40_000
@@ -162,8 +159,8 @@ def _self_play(train: TrainingSpec) -> SelfPlay | None:
     spec = train.self_play
     if spec is None:
         return None
-    interval = spec.every or max(1, train.total_timesteps // _SNAPSHOTS)
-    return SelfPlay(interval, spec.pool, float(spec.newest), float(spec.scripts))
+    interval = spec.every or SelfPlay.default_interval(train.total_timesteps)
+    return SelfPlay(interval, spec.pool, float(spec.newest), float(spec.scripts), spec.every is None)
 
 
 def _hyperparameters(settings: Mapping[str, Any], values: ValueReader) -> tuple[Hyperparameter, ...]:

@@ -85,8 +85,6 @@ def choose(program: Program, *, has_teacher: bool = False) -> Choice:
             "algorithm": algorithm,
             "network": {"hidden": [64, 64] if _observed_numbers(program) <= FEW_NUMBERS else [128, 128]},
         }
-    if agent.copies is not None:
-        settings["environments"] = max(1, settings["environments"] // agent.copies.count)
     # The horizon 1 / (1 - gamma) is a quarter of the episode.
     settings["gamma"] = min(max(round(1 - 4 / steps, 2), 0.9), 0.99)
     reasons["gamma"] = (
@@ -106,29 +104,36 @@ def _first_row(program: Program, *, has_teacher: bool) -> Choice:
     agent = program.agent
     steps = program.truncation.max_episode_steps(program.period)
     numbers = _observed_numbers(program)
+    copies = 1 if agent.copies is None else agent.copies.count
+
+    def worlds(agents: int) -> dict[str, int]:
+        return {"environments": max(1, agents // copies)}
+
     may_be_off_policy = not agent.choices and not has_teacher
     if may_be_off_policy and agent.goal is not None:
         why = "SAC with hindsight replay: the scenario has a goal"
-        return Choice({**_SAC, "environments": 4, "replay": "her", "tau": 0.02}, {"algorithm": why})
+        return Choice({**_SAC, **worlds(4), "replay": "her", "tau": 0.02}, {"algorithm": why})
     if may_be_off_policy and program.period >= LONG_STEP_S:
         why = f"SAC, which learns from each step many times: a step takes {program.period:g} s"
-        return Choice({**_SAC, "environments": 8, "gradient_steps": 4}, {"algorithm": why})
+        return Choice({**_SAC, **worlds(8), "gradient_steps": 4}, {"algorithm": why})
     has_batches = program.engine is not None and ENGINES[program.engine].batch is not None
     if steps <= SHORT_EPISODE and numbers <= FEW_NUMBERS and not agent.images:
+        settings: dict[str, Any] = {**worlds(8), "n_steps": 64, "batch_size": 128, "n_epochs": 10}
+        update = settings["environments"] * copies * settings["n_steps"]
         why = (
-            f"updates every 512 steps: an episode has at most {steps:,} steps, and the policy sees {numbers}"
-            " numbers"
+            f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees"
+            f" {numbers} numbers"
         )
-        settings: dict[str, Any] = {"environments": 8, "n_steps": 64, "batch_size": 128, "n_epochs": 10}
         settings |= {"learning_rate": 1e-3, "total_timesteps": 200_000}
     elif has_batches and not agent.images and not has_teacher:
-        why = f"256 worlds: the engine {program.engine} steps them as one batch"
-        settings = {"environments": 256, "n_steps": 24, "batch_size": 1536, "n_epochs": 5}
+        settings = {**worlds(256), "n_steps": 24, "batch_size": 1536, "n_epochs": 5}
         settings |= {"total_timesteps": 3_000_000}
+        why = f"{settings['environments']} worlds: the engine {program.engine} steps them as one batch"
     else:
         much = "images" if agent.images else f"{numbers} numbers"
-        why = f"updates every 2,048 steps: an episode has at most {steps:,} steps, and the policy sees {much}"
-        settings = {"environments": 16, "n_steps": 128, "batch_size": 256, "n_epochs": 5}
+        settings = {**worlds(16), "n_steps": 128, "batch_size": 256, "n_epochs": 5}
+        update = settings["environments"] * copies * settings["n_steps"]
+        why = f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees {much}"
         settings |= {"learning_rate": 5e-4} if agent.images else {}
     return Choice(_PPO | settings, {"environments n_steps": why})
 
@@ -247,7 +252,7 @@ class _Prober:
         numbers, if both ends have none."""
         middle = space.middle
         is_whole = space.low.is_integer() and space.high.is_integer() and not space.unit
-        if is_whole and not list(self._errors(name, space.text(int(middle) + 0.5))):
+        if is_whole and not list(self._errors(name, f"{int(middle) + 0.5:.12g}")):
             return space
         if is_whole:
             space = space.model_copy(update={"whole": True})

@@ -194,6 +194,10 @@ def report_missing_joint(
     matched = matching_names((joint.name for joint in model.joints), pattern)
     if matched and matched[0] in model.followers:
         report_follower(values, span, matched[0], model)
+    elif matched and matched[0] in movable_names:
+        names = ", ".join(f"`{name}`" for name in matched)
+        help = f"name a joint or a group of `groups`; the pattern matches {names}"
+        values.add("DB303", span, f"`{pattern}` is a pattern, and a name is needed here", help)
     elif matched:
         joints = {joint.name for joint in model.joints}
         report_motionless_joint(

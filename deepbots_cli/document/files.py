@@ -13,6 +13,7 @@ from collections.abc import Container, Iterable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
+from shlex import quote
 from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Fix, Source, Span
@@ -115,7 +116,7 @@ class UnusableFile:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
         if project is None or self.through_link:
             return (
-                f"add `--allow-path {folder}` to the command, or copy the file into"
+                f"add `--allow-path {quote(str(folder))}` to the command, or copy the file into"
                 f" {project or 'the project'}"
             )
         copy = (
@@ -123,11 +124,11 @@ class UnusableFile:
         )
         above = Path(os.path.commonpath((project, self.path)))
         if above in (Path(above.anchor), Path.home()):
-            return f"add `--allow-path {folder}` to the command; or {copy}"
+            return f"add `--allow-path {quote(str(folder))}` to the command; or {copy}"
         marker = display_path(above / _PROJECT_MARKERS[0])
         return (
             f"create the empty file {marker}, which makes one project of all that its folder contains; or add"
-            f" `--allow-path {folder}` to the command; or {copy}"
+            f" `--allow-path {quote(str(folder))}` to the command; or {copy}"
         )
 
     def _elsewhere(self) -> str | None:

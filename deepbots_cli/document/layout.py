@@ -27,6 +27,7 @@ from deepbots_cli.document.nodes import (
     ScalarNode,
     SequenceNode,
     descend,
+    entries_at,
     node_at,
     to_data,
 )
@@ -84,13 +85,13 @@ def _comments(text: str) -> list[str]:
     return [comment.rstrip() for gap, _, _ in _gaps(text) for comment in re.findall(_COMMENT, gap)]
 
 
-def _visible(text: str) -> list[Token]:
-    """Return the tokens that have text, without the white space at their ends."""
-    return [
-        token._replace(end=token.start + len(text[token.start : token.end].rstrip()))
-        for token in _tokens(text)
-        if token.end > token.start
-    ]
+def _visible(text: str) -> Iterator[Token]:
+    """Yield the tokens that have text, without the empty lines at their ends. Blanks at the end of the last
+    line are a part of a text."""
+    for token in _tokens(text):
+        line_end = text.find("\n", token.start + len(text[token.start : token.end].rstrip()), token.end)
+        if token.end > token.start:
+            yield token._replace(end=token.end if line_end < 0 else line_end)
 
 
 def _gaps(text: str) -> Iterator[tuple[str, Token | None, Token | None]]:
@@ -305,6 +306,7 @@ _REST_OF_LINE = r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)"
 _COMMA = r"[ \t]*,[ \t]*"
 _SPECIAL_IN_BRACKETS = r"[,{}\[\]#\n]|: "
 _END_OF_LINE = r"\r?\n|\Z"
+_ANCHOR, _ALIAS = (rf"{sign}([^\s,\[\]{{}}]+)" for sign in ("&", r"\*"))
 
 
 # Removing or moving an entry
@@ -313,8 +315,8 @@ _END_OF_LINE = r"\r?\n|\Z"
 def removal_fix(root: Node, path: NodePath) -> Fix | None:
     """Return the fix that removes the entry at `path`, with its lines or with a comma beside it.
 
-    None for the only entry of its mapping, a list item, and an entry that shares its lines or its comma with
-    other text.
+    None for the only entry of its mapping, a list item, an entry that shares its lines or its comma with
+    other text, and one with an anchor that the rest of the file uses.
     """
     holder, _, steps = descend(root, path[:-1])
     if steps < len(path) - 1 or not isinstance(holder, MappingNode):
@@ -342,6 +344,8 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     else:
         before = text[:start].rstrip()
         start = len(before) - 1 if before.endswith(",") else end
+    if set(re.findall(_ANCHOR, text[start:end])) & set(re.findall(_ALIAS, text[end:])):
+        return None
     return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
 
 
@@ -431,11 +435,14 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
     everything else stays as it is.
 
     A key that the file does not have, because it extends another one or has a default, is added to the
-    innermost section that it has. A comment that begins with the same word is replaced. None where the text
-    does not allow it.
+    innermost section that it has. A comment that begins with the same word is replaced. A value with an anchor
+    changes wherever it is used, and an alias becomes the value. None where the text does not allow it.
     """
     node, _, steps = descend(root, path)
-    if steps == len(path) and node.span.source is source:
+    alias = _alias(root, source, path)
+    if alias is not None:
+        start, end, new = *alias.span(1), value
+    elif steps == len(path) and node.span.source is source:
         if comment and isinstance(node, ScalarNode) and node.style in ("literal", "folded"):
             return None  # a comment would be a part of the value
         start, end, new = node.span.start, node.span.end, value
@@ -455,6 +462,15 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
     return _with_comment(
         source.text[:start] + new.rstrip(), new[len(new.rstrip()) :] + source.text[end:], comment
     )
+
+
+def _alias(root: MappingNode, source: Source, path: NodePath) -> re.Match[str] | None:
+    """Return the alias that a file has in place of the value at a path."""
+    entry = entries_at(root, *path[:-1]).get(str(path[-1])) if path else None
+    if entry is None or not entry.key.span.source is entry.value.span.source is source:
+        return None
+    alias = re.compile(rf"\s*:\s*({_ALIAS})").match(source.text, entry.key.span.end)
+    return alias if entry.value.span.start < entry.key.span.start else None  # an anchor is before its aliases
 
 
 def _with_comment(before: str, behind: str, comment: str) -> str:

@@ -178,7 +178,7 @@ def _change(phrase: str) -> _Change | None:
     """Return the change that a phrase asks for; None if it asks for none or several, or is not clear."""
     words, asked = _words(phrase), properties(phrase)
     text = _NUMBER_WORD.sub(lambda number: _NUMBERS[number[0]], phrase.lower())
-    amounts = _AMOUNT.findall(text)
+    amounts = [*_AMOUNT.finditer(text)]
     is_larger, is_smaller, is_low = (bool(words & some) for some in (_LARGER_WORDS, _SMALLER_WORDS, _LOW))
     is_compared = is_larger or is_smaller
     if (
@@ -188,12 +188,14 @@ def _change(phrase: str) -> _Change | None:
         or amounts[1:]
     ):
         return None
-    number, unit = amounts[0] if amounts else _USUAL
+    number, unit = amounts[0].groups() if amounts else _USUAL
     amount, rest = float(number.replace(",", "")), _words(_AMOUNT.sub(" ", text))
     if unit in _UNITS:
         name, size = _UNITS[unit]
         return None if is_compared or is_low or asked - {name} else _Change(amount * size, name, rest)
-    if unit in ("%", "percent"):
+    if unit in ("%", "percent") and text[: amounts[0].start()].endswith(" to "):
+        amount /= 100
+    elif unit in ("%", "percent"):
         amount = 1 + (is_larger - is_smaller) * amount / 100 if is_compared else 0.0
     elif is_larger and amount < 1:
         amount = 0.0

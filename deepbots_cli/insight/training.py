@@ -557,7 +557,6 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
     final_episodes = [own_episode(members[agent], episode) for episode in of_all.final_episodes]
     if final_episodes:
         evaluations.append(_logged(final_episodes))
-    rivals = [name for name in members if run.program.has_rivals and name != agent]
     return replace(
         of_all,
         run=run.of_agent(agent, beside_policies=run.model("best").is_file()),
@@ -568,14 +567,9 @@ def _read_agent(run: Run, agent: str) -> TrainingEvidence:
         verdict=of_all.verdict.of_agent(agent) if run.program.has_rivals else of_all.verdict,
         agent=agent,
         rivals={
-            name: np.array(
-                [
-                    members[name].has_succeeded((ending,) if ending else ())
-                    for ending in of_all.all_episodes.endings
-                ],
-                float,
-            )
-            for name in rivals
+            name: logs_of(run.path, name)[0].successes
+            for name in members
+            if run.program.has_rivals and name != agent
         },
     )
 

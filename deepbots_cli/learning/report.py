@@ -250,7 +250,8 @@ class GroupProgressReporter(GroupReporter):
                 text = f"{head}\n  {'  '.join(values)}".rstrip()
                 self._display.show(text, done, total, task=item)
             planned = max(1, self._total * len(self._seeds))
-            self._display.show(self._summary(), planned - self._left, planned, at_once=at_once)
+            done = planned - self._left if self._total else 0  # unknown before the first report
+            self._display.show(self._summary(), done, planned, at_once=at_once)
         elif now - self._shown >= LINE_INTERVAL_S:
             self._display.print(self._summary())
             self._shown = now

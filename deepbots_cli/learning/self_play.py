@@ -25,6 +25,7 @@ from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
+from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import MultiAgentActor, SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
@@ -93,6 +94,9 @@ class PastPolicy:
     losses: float = 0.0
 
 
+_MAX_RATINGS = 10_000
+
+
 class RatingState(CheckpointPart):
     """A rating in a checkpoint."""
 
@@ -117,7 +121,7 @@ class SelfPlayState(MultiAgentState):
     of the policy so far, the present one last."""
 
     pool: Annotated[list[PastState], Field(max_length=100)]
-    ratings: Annotated[list[RatingState], Field(min_length=1, max_length=10_000)]
+    ratings: Annotated[list[RatingState], Field(min_length=1, max_length=_MAX_RATINGS)]
 
 
 class SelfPlayLearner(MultiAgentLearner):
@@ -278,9 +282,8 @@ class SelfPlayLearner(MultiAgentLearner):
                 continue
             is_first = ending.row in self._sides.first
             member, opponent = (first, second) if is_first else (second, first)
-            by = ending.episode.ended_by
-            endings = () if by is None else (by,)
-            score = int(member.has_succeeded(endings)) - int(opponent.has_succeeded(endings))
+            won, lost = (own_episode(one, ending.episode).is_success for one in (member, opponent))
+            score = int(won) - int(lost)
             if index <= _FIRST_SCRIPT:
                 against_scripts.append(score)
                 continue
@@ -307,6 +310,8 @@ class SelfPlayLearner(MultiAgentLearner):
             member.wins, member.losses = member.wins / 2, member.losses / 2
         self.pool.append(self._past(rating, weights))
         self.ratings.append(rating)
+        if len(self.ratings) > _MAX_RATINGS:
+            del self.ratings[1:-1:2]
         if len(self.pool) > self._settings.pool:
             self.pool.pop(0)
             # The episodes against the removed member go on against the one that is now the oldest.

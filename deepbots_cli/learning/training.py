@@ -14,7 +14,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -396,14 +395,16 @@ def resume(
 def _stretched_schedules(training: Training, before: int, steps: int) -> Iterator[str]:
     """Yield a sentence for each schedule that a new total, instead of the one `before`, stretches or shortens."""
     total = training.total_timesteps
-    schedules: dict[str, object] = {entry.name: entry.value for entry in training.hyperparameters}
-    if training.action_noise is not None:
-        schedules["action_noise.sigma"] = training.action_noise.sigma
-    for name, value in schedules.items():
+    schedules: dict[tuple[str, str], object] = {}
+    for of_agent, part in [("", training), *((f" of `{name}`", part) for name, part in training.agents)]:
+        schedules |= {(entry.name, of_agent): entry.value for entry in part.hyperparameters}
+        if part.action_noise is not None:
+            schedules["action_noise.sigma", of_agent] = part.action_noise.sigma
+    for (name, of_agent), value in schedules.items():
         if total != before and isinstance(value, Schedule) and value.start != value.end:
             yield (
-                f"`{name}: {value.text}` now ends at {total:,} steps instead of {before:,}; at {steps:,} steps,"
-                f" it changes from {value.at(steps / before):.3g} to {value.at(steps / total):.3g}"
+                f"`{name}: {value.text}`{of_agent} now ends at {total:,} steps instead of {before:,}; at"
+                f" {steps:,} steps, it changes from {value.at(steps / before):.3g} to {value.at(steps / total):.3g}"
             )
 
 
@@ -422,7 +423,7 @@ def training_of(program: Program, total_timesteps: int | None, callbacks: Sequen
     training = (
         program.agent.training
         if total_timesteps is None
-        else replace(program.agent.training, total_timesteps=total_timesteps)
+        else program.agent.training.with_total(total_timesteps)
     )
     if training.total_timesteps < 1:
         raise UsageError(f"total_timesteps must be at least 1, not {training.total_timesteps}")

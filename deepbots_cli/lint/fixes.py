@@ -28,9 +28,9 @@ _MAX_LINT_RUNS = 150
 _TYPICAL_SIZE_CHARACTERS = 6_000
 """The size of a usual scenario in characters; the largest shipped scenario has 5 219."""
 _BOM = b"\xef\xbb\xbf"
-_BETWEEN_ENTRIES = frozenset({"DB002", "DB202"})
+_BETWEEN_ENTRIES = frozenset({"DB001", "DB002", "DB202"})
 """A duplicate concerns two entries: correcting the name of one makes the conflict, and does not uncover
-it."""
+it. A file that is no YAML any more (an alias without its anchor) is always harm."""
 _PER_SCENARIO = frozenset({"DB205", "DB901"})
 """A definition that this scenario does not use may be used by another one that includes the same file."""
 

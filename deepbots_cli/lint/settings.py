@@ -26,8 +26,6 @@ Format = Literal["full", "concise", "json", "github", "sarif", "junit"]
 FailOn = Literal["error", "warning", "never"]
 
 _TABLES = (("deepbots.toml", ("lint",)), ("pyproject.toml", ("tool", "deepbots", "lint")))
-# The spellings of `tool.deepbots`: most projects have none, and their files are not parsed.
-_TOOL = re.compile(rb"\btool\W{0,9}deepbots|^\s*\[\W*tool\W*\]", re.MULTILINE)
 _MAX_BYTES = 256 << 10
 _MAX_WORDS = 1000
 """The maximum number of words in a list of settings; each pattern is matched against each file of a
@@ -66,7 +64,7 @@ def settings(folder: Path | None = None) -> Settings:
     root = files.project_root(folder or Path.cwd())
     for name, keys in _TABLES:
         path = root / name
-        if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or _TOOL.search(data)):
+        if path.is_file() and (data := _read(path)) and (name == "deepbots.toml" or b"deepbots" in data):
             table = _table(data, files.display_path(path), keys)
             if table is not None:
                 return _settings(root, table, Source(files.display_path(path), data.decode()))

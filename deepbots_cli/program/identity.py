@@ -38,7 +38,15 @@ from deepbots_cli.program.robots import (
     Sensor,
     Thrust,
 )
-from deepbots_cli.program.task import ActionRange, Agent, Choices, Evaluation, ObservedNumber, Training
+from deepbots_cli.program.task import (
+    ActionRange,
+    Agent,
+    Choices,
+    Evaluation,
+    ObservedNumber,
+    SelfPlay,
+    Training,
+)
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.program.world import Picture, RobotBody
 from deepbots_cli.robots.model import Mesh
@@ -129,7 +137,10 @@ _COUNTED: Mapping[type, Sequence[str]] = {
     RandomizedParameter: ("what", "of", "scalars"),
 }
 """The members that count for records that are not written field by field."""
-_UNCOUNTED: Mapping[type, Sequence[str]] = {Sensor: ("reader", "world_function")}
+_UNCOUNTED: Mapping[type, Sequence[str]] = {
+    SelfPlay: ("has_default_interval",),
+    Sensor: ("reader", "world_function"),
+}
 _LATER: Mapping[type, Sequence[str]] = {
     Agent: ("critic",),
     Motor: ("stall_torque", "no_load_speed"),

@@ -551,12 +551,19 @@ class SelfPlay:
         pool: The largest number of members.
         newest: The share of the worlds in which the policy plays against itself.
         scripts: The share of the worlds in which it plays against scripts.
+        has_default_interval: Whether `every` is that of a training of this length.
     """
 
     every: int
     pool: int
     newest: float
     scripts: float = 0.0
+    has_default_interval: bool = False
+
+    @staticmethod
+    def default_interval(total_timesteps: int) -> int:
+        """Return the default of `every`: 20 policies of a training become members."""
+        return max(1, total_timesteps // 20)
 
 
 @dataclass(frozen=True)
@@ -608,6 +615,14 @@ class Training:
     agents: tuple[tuple[str, Training], ...] = ()
     self_play: SelfPlay | None = None
     turns: int | None = None
+
+    def with_total(self, total_timesteps: int) -> Training:
+        """Return the training, and those of its agents, with another number of steps."""
+        self_play = self.self_play
+        if self_play is not None and self_play.has_default_interval:
+            self_play = replace(self_play, every=SelfPlay.default_interval(total_timesteps))
+        agents = tuple((name, training.with_total(total_timesteps)) for name, training in self.agents)
+        return replace(self, total_timesteps=total_timesteps, self_play=self_play, agents=agents)
 
 
 # Agent

@@ -23,6 +23,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice, product
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from shlex import quote
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
@@ -82,7 +83,7 @@ class Places:
     """
 
     def __init__(self, folder: Path, allowed: Iterable[Path] = (), *, suggests: bool = False) -> None:
-        self._folder = folder.absolute()
+        self._folder = Path(os.path.normpath(folder.absolute()))  # `..` is no folder above
         # The folder of the robot file and those above it, nearest first, also those that are not allowed.
         self._above = [self._folder, *islice(self._folder.parents, _MAX_PARENTS)]
         self._roots = [os.path.realpath(root) for root in (folder, *allowed)]
@@ -174,9 +175,8 @@ class Places:
             help = _outside_help(allow)
             return UnusableMesh("the mesh lies outside the folder of the robot", help, shown, allow)
         help = f"deepbots looked for {inside[-120:]}"
-        lacks_package = bool(package) and not any(
-            folder.is_dir() for folder in self._packages.get(package, ())
-        )
+        is_near = any(folder.is_dir() for folder in self._packages.get(package, ()))
+        lacks_package = bool(package) and home is None and not is_near
         if lacks_package:
             help += f", and for a package called {package[:60]}"
         help += "; put the file into one of these places, or allow a folder that has it with --allow-path"
@@ -298,7 +298,7 @@ def _clone(folder: Path) -> Path | None:
 
 def _outside_help(allow: Path | None) -> str:
     if allow is not None:
-        return f"add `--allow-path {allow}` to the command"
+        return f"add `--allow-path {quote(str(allow))}` to the command"
     return "move it into the folder of the robot file, or allow its folder with --allow-path"
 
 

@@ -150,8 +150,9 @@ def set_random_state(world: gym.Env[Any, Any], state: dict[str, Any]) -> None:
 
 @dataclass(frozen=True)
 class Episode:
-    """A finished episode; `terms` are the reward terms, summed over it. `agent_endings` are the ends of the
-    episodes of those among several agents whose episode ended before.
+    """A finished episode; `terms` are the reward terms, summed over it. `endings` are all endings that held in
+    its last step, of which `ended_by` is the first. `agent_endings` are the ends of the episodes of those
+    among several agents whose episode ended before.
 
     For an episode of an evaluation, `seed` is the seed of its reset, and `drawn` contains the drawn values in
     SI units by their path in the scenario, such as `parameters.mark` (see `Supervisor.reset`).
@@ -165,6 +166,7 @@ class Episode:
     seed: int | None = None
     drawn: Mapping[str, float | str] = field(default_factory=dict)
     agent_endings: Mapping[str, AgentEnding] = field(default_factory=dict)
+    endings: tuple[str, ...] = ()
 
 
 class EpisodeAccumulator:
@@ -211,9 +213,16 @@ class EpisodeAccumulator:
         """Return the finished episode, given the info of its last step. The next one begins."""
         success = bool(info.get("is_success", False))
         ended_by = info.get("ended_by")
-        ends = info.get("agent_endings", {})
         episode = Episode(
-            self._return, self._length, success, ended_by, self._terms, self._seed, self._drawn, ends
+            self._return,
+            self._length,
+            success,
+            ended_by,
+            self._terms,
+            self._seed,
+            self._drawn,
+            info.get("agent_endings", {}),
+            info.get("endings", ()),
         )
         self._return = 0.0
         self._length = 0
@@ -249,7 +258,6 @@ def own_episode(member: Member, episode: Episode) -> Episode:
     end = episode.agent_endings.get(member.name)
     if end is not None:
         return replace(agent_episode, length=end.step, is_success=end.is_success, ended_by=end.endings[0])
-    return replace(
-        agent_episode,
-        is_success=member.has_succeeded(() if episode.ended_by is None else (episode.ended_by,)),
-    )
+    # The log of a training, and evaluations of earlier versions, have the first ending alone.
+    first = () if episode.ended_by is None else (episode.ended_by,)
+    return replace(agent_episode, is_success=member.has_succeeded(episode.endings or first))

@@ -455,7 +455,7 @@ class BatchEpisodes:
         success = info["is_success"]
         ended_by = info["ended_by"]
         ends = info.get("agent_endings", {})
-        return Episode(total, length, success, ended_by, terms, seed, draws or {}, ends)
+        return Episode(total, length, success, ended_by, terms, seed, draws or {}, ends, info["endings"])
 
     def repeat(self, histories: Sequence[EpisodeHistory]) -> None:
         """Bring the worlds back to the moment at which `histories` were taken."""

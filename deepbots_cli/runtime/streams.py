@@ -120,7 +120,9 @@ class Streams:
 
     def integer(self, name: str, low: float, high: float) -> float:
         """Return a whole number from `low` to `high`, both included."""
-        return self.take(name, float(self[name].integers(int(low), int(high), endpoint=True)))
+        # The ends are results of expressions, which rounding may have moved.
+        lowest, highest = math.ceil(low - 1e-9), math.floor(high + 1e-9)
+        return self.take(name, float(self[name].integers(lowest, highest, endpoint=True)))
 
     def normal(self, name: str, mean: float, deviation: float) -> float:
         return self.take(name, float(self[name].normal(mean, deviation)))

@@ -152,7 +152,7 @@ class Route(Section):
     """Probability that a message is lost, 0 to 1."""
     burst: Annotated[Scalar, Quantity("number", minimum=1)] | None = None
     """Mean number of messages that are lost in a row. By default, losses are independent of each other."""
-    range: Annotated[Scalar, Quantity("length", known="episode", minimum=0)] | None = None
+    range: Annotated[Scalar, Quantity("length", known="episode", minimum=0, exclusive=True)] | None = None
     """Range of the channel, m: no message arrives while the root link of the robot is farther from the origin
     of the world. By default unlimited."""
     order: Literal["sent", "arrival", "newest"] = "sent"

@@ -333,6 +333,17 @@ def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> 
     assert left.total_return + right.total_return == pytest.approx(episode.total_return)
 
 
+def test_two_agents_that_fail_in_one_step_have_both_failed(carts: Path) -> None:
+    out = "{when: time > 0.1 s, success: %s, failure: %s}"
+    endings = f"{{red_out: {out % ('blue', 'red')}, blue_out: {out % ('red', 'blue')}}}"
+    carts.write_text(f"deepbots: 1\nextends: sumo\nname: Tie\nendings: {endings}\nremove: [endings]\n")
+    with closing(api.make(carts)) as world:
+        episode = result_of(steps(world, AgentsDriver(world, {"red": "zero", "blue": "zero"}), Start(3)), 0)
+        assert sorted(episode.endings) == ["blue_out", "red_out"]
+        members = world.scenario.members.values()
+        assert not any(own_episode(member, episode).is_success for member in members)
+
+
 def test_the_episode_of_a_role_ends_with_its_agent(carts: Path) -> None:
     role = ["role={agent: left, others: {right: zero}}"]
     with closing(api.make(api.compile(carts, overrides=role))) as environment:

@@ -141,7 +141,8 @@ SEEN = "reward={age: stale / (20 ms), came: 1 when came}"
         ("messages.from_robot={latency: 30 ms}", [1, 2, 2, 2, 2, 2], [0, 0, 1, 1, 1, 1]),
         ("messages.from_robot={loss: 1}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
         ("messages.from_robot={loss: 1, on_loss: zero}", [1, 2, 3, 4, 5, 6], [0, 0, 0, 0, 0, 0]),
-        ("messages.timing=delayed", [1, 1, 1, 1, 1, 1], [1, 1, 1, 1, 1, 1]),
+        ("messages.timing=delayed", [1, 1, 1, 1, 1, 1], [0, 1, 1, 1, 1, 1]),
+        ("messages={timing: delayed, from_robot: {loss: 1e-12}}", [1, 1, 1, 1, 1, 1], [0, 1, 1, 1, 1, 1]),
         ("messages.format=none", [0, 0, 0, 0, 0, 0], [1, 1, 1, 1, 1, 1]),
     ],
 )

@@ -41,7 +41,13 @@ from deepbots_cli.document import (
     walk,
 )
 from deepbots_cli.document.files import UnusableFile, project_root, resolve_reference
-from deepbots_cli.document.layout import assigned_text, canonical_text, move_to_augment_fix, to_yaml
+from deepbots_cli.document.layout import (
+    assigned_text,
+    canonical_text,
+    move_to_augment_fix,
+    removal_fix,
+    to_yaml,
+)
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
@@ -600,6 +606,21 @@ def test_a_value_is_set_with_a_comment_behind_it(before: str, value: str, after:
     assert assigned_text(root, root.span.source, ("name",), value, "set by x") == after
 
 
+def test_a_value_that_an_alias_repeats_is_set_without_a_change_of_its_anchor() -> None:
+    before = "limits: &l {low: 1, high: 2}\nparameters: {fall: &x 12 deg, other: *x, all: *l}\n"
+    root = root_of(before)
+    text = assigned_text(root, root.span.source, ("parameters", "other"), "5 deg", "")
+    assert text == before.replace("*x", "5 deg")
+    text = assigned_text(root, root.span.source, ("parameters", "all", "low"), "3", "")
+    assert text == before.replace("low: 1", "low: 3")
+
+
+def test_an_entry_with_an_anchor_that_is_used_stays() -> None:
+    root = root_of("parameters:\n  used: &x 12 deg\n  unused: &y 12 deg\n  fall: *x\n")
+    fixes = [removal_fix(root, ("parameters", name)) for name in ("used", "unused")]
+    assert [fix is None for fix in fixes] == [True, False]
+
+
 def test_a_new_section_has_the_line_ends_of_the_file() -> None:
     root = root_of("name: n\r\n")
     text = assigned_text(root, root.span.source, ("train", "gamma"), "0.9", "")
@@ -825,6 +846,11 @@ def test_a_shipped_scenario_is_in_the_canonical_layout(name):
 
 def test_a_file_that_ends_behind_a_comment_is_formatted() -> None:
     assert canonical_text("name: CartPole # short") == "name: CartPole # short\n"
+
+
+def test_a_text_with_blanks_at_the_end_of_its_last_line_keeps_them() -> None:
+    text = "summary: |\n  one \n  two \nname: n\n"
+    assert canonical_text(text) == text
 
 
 def test_comments_by_the_ten_thousand_and_brackets_over_thousands_of_lines_end():

@@ -57,6 +57,8 @@ WRITTEN = [
     ("a larger extra", "parameters.extra", "-1e-3 m", "-0.0015 m"),
     ("a larger extra", "parameters.extra", "2 m/s^2", "3 m/s^2"),
     ("a larger extra", "parameters.extra", "50 %", "75 %"),
+    ("reduce extra to 80 %", "parameters.extra", "10 m", "8 m"),
+    ("reduce extra by 80 %", "parameters.extra", "10 m", "2 m"),
     ("a larger extra", "parameters.extra", "1_000 ms", "1_500 ms"),
     ("a larger extra", "parameters.extra", "0.000_5 m", "0.00075 m"),
 ]

@@ -992,3 +992,7 @@ def test_a_confirmed_model_stays_the_best_one_when_its_training_goes_on(tmp_path
         save(candidate, lambda path, name=str(steps): path.write_text(name))
     shortlist.restore(shortlist.candidates)
     assert (tmp_path / "best.zip").read_text() == "200"
+    better = Candidate(steps=300, episodes=20, success_rate=0.98, mean_return=0.0)
+    assert not shortlist.add(better, lambda path: path.write_text("300"))
+    assert [candidate.steps for candidate in shortlist.candidates] == [200, 100, 300]
+    assert (tmp_path / "best.zip").read_text() == "200"

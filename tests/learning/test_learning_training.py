@@ -577,6 +577,20 @@ def compiled(folder: Path, scenario: str, train: str | None = None) -> Compiled:
     return api.with_learner(api.compile(file))
 
 
+def test_the_reason_for_the_length_of_an_update_counts_the_copies() -> None:
+    overrides = ["train={algorithm: auto}", "robots.cart.count=3"]
+    chosen = api.with_learner(api.compile("multi_cartpole", overrides=overrides))
+    assert any("updates every 384 steps" in reason for reason in chosen.learner)
+
+
+def test_a_shorter_training_with_self_play_has_as_many_past_policies() -> None:
+    training = "train={algorithm: PPO, total_timesteps: 1_000_000, self_play: {newest: 40 %}}"
+    program = api.compile("sumo", overrides=[training]).program
+    for total in (1_000_000, 20_000):
+        shared = dict(training_of(program, total).agents)["red"]
+        assert (shared.total_timesteps, shared.self_play and shared.self_play.every) == (total, total // 20)
+
+
 def settings(chosen: Compiled) -> dict[str, Any]:
     training = chosen.program.agent.training
     assert training is not None

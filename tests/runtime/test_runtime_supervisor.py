@@ -608,6 +608,7 @@ def test_any_whole_number_is_a_seed(root: int) -> None:
 def test_whole_numbers_are_drawn_with_both_ends() -> None:
     streams = Streams(1)
     assert {streams.integer("n", 2, 4) for _ in range(100)} == {2.0, 3.0, 4.0}
+    assert {streams.integer("n", 1.5, 4.5) for _ in range(100)} == {2.0, 3.0, 4.0}
 
 
 def test_draws_are_plain_floats_that_every_message_format_can_carry() -> None:

@@ -559,3 +559,12 @@ def test_a_trial_with_one_seed_is_never_clearly_better(
     text = "".join(capsys.readouterr())
     assert "one seed does not show it" in text
     assert "deepbots apply" not in text
+
+
+@pytest.mark.parametrize("sizes", ["16 .. 1024", "64 .. 16384"])
+def test_a_key_of_whole_numbers_is_searched_in_whole_numbers(tmp_path: Path, sizes: str) -> None:
+    file = tmp_path / "a.yaml"
+    file.write_text(
+        f"deepbots: 1\nextends: cartpole\nname: A\ntune: {{search: {{train.batch_size: {sizes} :log}}}}\n"
+    )
+    assert api.load(file).search["train.batch_size"].whole

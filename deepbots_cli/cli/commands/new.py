@@ -362,7 +362,7 @@ def _reference(robot: str, name: str, folder: Path, permissions: Permissions) ->
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, because the file {referenced.problem};"
             f" copy it with its meshes: `{command} --copy`; or allow its folder, here and in later commands:"
-            f" `{command} --allow-path {parent}`; a robot of an installed package is named as"
+            f" `{command} --allow-path {quote(str(parent))}`; a robot of an installed package is named as"
             " package://PACKAGE/PATH"
         )
     return path

@@ -403,6 +403,8 @@ def command_test(
     }
     added = [f"--engine {engine}"] if engine else []
     added += [f"--set {quote(text)}" for text in overrides or ()]
+    added += [f"--allow-path {quote(str(folder))}" for folder in permissions.folders]
+    added += ["--allow-code"] if permissions.code else []
     arguments.check_dividable(
         workers, address, len(names), "there is one scenario; name several, or a folder"
     )
@@ -428,7 +430,7 @@ def command_test(
             }
         )
     else:
-        _sum_up(scenario_results, time.perf_counter() - began)
+        _sum_up(scenario_results, only, time.perf_counter() - began)
     if junit is not None:
         suites = {
             tested.scenario: _junit(tested)
@@ -510,7 +512,7 @@ def _acting_options(test: ScenarioTest) -> list[str]:
     return [f"--agent {test.agent}", *options]
 
 
-def _sum_up(scenario_results: Sequence[_ScenarioResults], seconds: float) -> None:
+def _sum_up(scenario_results: Sequence[_ScenarioResults], only: str | None, seconds: float) -> None:
     test_results = [result for tested in scenario_results for result in tested.results]
     failed, broken = (
         sum(not result.passed for result in test_results),
@@ -519,7 +521,7 @@ def _sum_up(scenario_results: Sequence[_ScenarioResults], seconds: float) -> Non
     untested = [tested.scenario for tested in scenario_results if not tested.results and not tested.findings]
     if untested:
         terminal.note(
-            f"no tests in {', '.join(untested[:5])}"
+            f"no {f'test with {only!r} in its name' if only else 'tests'} in {', '.join(untested[:5])}"
             + (f" and {len(untested) - 5} more" if len(untested) > 5 else "")
         )
     words = [f"{len(test_results) - failed} passed"]

@@ -143,7 +143,12 @@ class Draft:
         """The settings of a start above the ground; empty for a robot that is not in the ground by default,
         where it stands with all joints at 0."""
         usual = 0.0 if self.is_fixed else self.build.height({})
-        return {"z": f"{short_number(self.height)} m"} if self.height > usual + 1e-3 else {}
+        return {"z": height_text(self.height)} if self.height > usual + 1e-3 else {}
+
+
+def height_text(height: float) -> str:
+    """Return a height of a start (m), rounded up to millimeters, so that nothing is in the ground."""
+    return f"{ceil(1e3 * height - 1e-6) / 1e3:.6g} m"
 
 
 def grouped_by_unit(joints: Sequence[Joint]) -> list[tuple[str, str, list[Joint]]]:

@@ -11,12 +11,12 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
-from math import atan2, ceil, cos, degrees, dist, hypot, radians, sqrt
+from math import atan2, cos, degrees, dist, hypot, radians, sqrt
 from statistics import mean
 from typing import TYPE_CHECKING
 
 from deepbots_cli import frames
-from deepbots_cli.cli.starters.draft import short_number
+from deepbots_cli.cli.starters.draft import height_text, short_number
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.frames import Frame, Quaternion, Triple, quaternion
 from deepbots_cli.records import dataclass
@@ -136,7 +136,7 @@ class Stance:
             for name, angle in zip(("roll", "pitch"), self.turn, strict=True)
             if angle
         }
-        return {"z": f"{ceil(1e3 * self.height + 1.0) / 1e3:.6g} m", **turns, "yaw": "any"}
+        return {"z": height_text(self.height + 1e-3), **turns, "yaw": "any"}
 
 
 def walk(draft: Draft) -> dict[str, object]:

@@ -634,11 +634,10 @@ class TrackingMotor(BatchMotor):
             np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),
             MIN_ERROR_SHARE * np.abs(target_velocities),
         )
-        # `np.where` computes both branches: without the maximum below, an error of 0 would divide by 0.
-        threshold = limits / self._stiffest
-        gains = np.where(off > threshold, limits / np.maximum(off, threshold), self._stiffest)
+        gains = np.broadcast_to(self._stiffest, off.shape).copy()
+        np.divide(limits, off, out=gains, where=off > limits / self._stiffest)
         batch.ctrl[cells(worlds, self._actuators)] = gains * (self._rate or 1.0) * targets
-        aimed: Column = gains
+        aimed = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
             worlds = np.arange(batch.count)[worlds][renewed]

@@ -16,7 +16,6 @@ import math
 import re
 import shutil
 from collections.abc import Callable, Iterable, Sequence
-from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
@@ -212,8 +211,8 @@ class Shortlist:
         if self.keeps_newest:
             remaining = []
         # A model that `put_first` has put there stays before those of a higher rank.
-        better = takewhile(lambda model: model.rank(self.measure) > candidate.rank(self.measure), remaining)
-        count = len([*better])
+        is_better = [model.rank(self.measure) > candidate.rank(self.measure) for model in remaining]
+        count = max((place for place, better in enumerate(is_better, 1) if better), default=0)
         self.candidates = [*remaining[:count], candidate, *remaining[count:]][:SHORTLIST]
         if candidate in self.candidates:
             save(self.model(candidate))

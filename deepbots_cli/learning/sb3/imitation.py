@@ -41,6 +41,7 @@ _MAX_STD = 0.3
 leave its teacher at once."""
 _AGREES = 0.2
 """Largest difference of each range in [-1, 1] at which a policy agrees with its teacher."""
+_FORBIDDEN_LOSS = 1e6
 _BETA = 0.2
 """Distance from the teacher at which the loss turns from quadratic to linear."""
 _SCALE = 1.0
@@ -148,8 +149,8 @@ class Lessons:
 
 @contextmanager
 def only_imitating(model: Any, lessons: Lessons, taught: Array | None) -> Iterator[None]:
-    """Context in which the update of an on-policy algorithm trains the critic alone; afterwards, the policy
-    is fitted to all lessons.
+    """Context in which the update of an on-policy algorithm has gradients of the critic alone; afterwards,
+    the policy is fitted to all lessons. The momentum of the fit before still moves the policy in an update.
 
     Args:
         taught: The teacher's actions in the states of the rollout buffer, of shape (steps, rows, ...); None
@@ -418,4 +419,5 @@ def _loss(model: Any, distribution: Any, taught: torch.Tensor) -> torch.Tensor:
         ).flatten(1)
         return loss.sum(1)
     log_loss: torch.Tensor = -distribution.log_prob(taught.long())
-    return log_loss
+    # A mask gives a forbidden option a logarithm of -1e8: a teacher that chooses it teaches nothing there.
+    return torch.where(log_loss < _FORBIDDEN_LOSS, log_loss, 0.0)
