@@ -303,7 +303,6 @@ def plain_or_quoted(text: str) -> str:
 
 
 _REST_OF_LINE = r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)"
-_COMMA = r"[ \t]*,[ \t]*"
 _SPECIAL_IN_BRACKETS = r"[,{}\[\]#\n]|: "
 _END_OF_LINE = r"\r?\n|\Z"
 _ANCHOR, _ALIAS = (rf"{sign}([^\s,\[\]{{}}]+)" for sign in ("&", r"\*"))
@@ -339,7 +338,7 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
         start = text.rfind("\n", 0, start) + 1
         rest_of_line = re.compile(_REST_OF_LINE).match(text, end)
         end = rest_of_line.end() if rest_of_line and not text[start : entry.key.span.start].strip() else start
-    elif comma := re.compile(_COMMA).match(text, end):
+    elif comma := re.compile(r"[ \t]*,[ \t]*").match(text, end):
         end = comma.end()
     else:
         before = text[:start].rstrip()

@@ -60,14 +60,6 @@ TOGETHER = SEVERAL.replace("success: right, failure: left", "failure: all").repl
 )
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run in which both agents have learned."""
-    folder = tmp_path_factory.mktemp("multi_agent")
-    deepbots_cli.train(write_scenario(folder, SHARED), run=folder / "run", seed=1)
-    return folder / "run"
-
-
 def test_each_agent_learns_from_its_own_part_of_each_step(tmp_path: Path) -> None:
     program = api.compile(write_scenario(tmp_path, SHARED)).program
     generator = np.random.default_rng(0)

@@ -50,14 +50,6 @@ from tests.commands import Deepbots
 from tests.learning.interruption import becomes_the_same
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run in which both agents have learned, beside its scenario."""
-    folder = tmp_path_factory.mktemp("rivals")
-    deepbots_cli.train(write_scenario(folder, SHARED), run=folder / "run", seed=1)
-    return folder / "run"
-
-
 def scenario_with_rival(trained: Path, driver: str | Path) -> api.Compiled:
     """The scenario of the left agent, with a driver for the right one."""
     role = f"role={{agent: left, others: {{right: {json.dumps(str(driver))}}}}}"
@@ -221,12 +213,13 @@ def test_a_comparison_of_scripts_needs_two_agents_and_no_other_setting(words: li
 @pytest.mark.slow
 def test_the_policy_of_each_agent_is_exported(trained: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnx")
-    assert main(["eval", str(trained), "--episodes", "3"]) == 0
+    run = shutil.copytree(trained, tmp_path / "run")
+    assert main(["eval", str(run), "--episodes", "3"]) == 0
     folder = tmp_path / "bundle"
-    assert main(["export", str(trained), "--agent", "right", "-o", str(folder)]) == 0
+    assert main(["export", str(run), "--agent", "right", "-o", str(folder)]) == 0
     described = json.loads((folder / "bundle.json").read_text())
     assert [part["name"] for part in described["action"]] == ["drive"]
-    evaluated = json.loads((trained / "evaluations" / "0001.json").read_text())
+    evaluated = json.loads((run / "evaluations" / "0001.json").read_text())
     assert described["evaluation"]["mean_return"] == evaluated["agents"]["right"]["mean_return"]
     assert main(["export", str(folder), "--check", str(folder / "scenario.yaml")]) == 0
 

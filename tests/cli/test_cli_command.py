@@ -272,7 +272,10 @@ def test_a_terminal_with_ascii_only_gets_escapes_instead_of_an_error(tmp_path):
     ("words", "absent"),
     [
         (["lint", "cartpole"], (*EXTRA, "rich", "jinja2", "deepbots_webots")),
-        (["--help"], ("deepbots_cli.scenario", "deepbots_cli.cli.commands.train", "deepbots_webots")),
+        (
+            ["--help"],
+            (*EXTRA, "yaml", "deepbots_cli.scenario", "deepbots_cli.cli.commands.train", "deepbots_webots"),
+        ),
     ],
 )
 def test_a_command_imports_only_what_it_needs(words, absent):

@@ -16,7 +16,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from conftest import Case
 from gymnasium.utils.env_checker import check_env as gymnasium_check
 from rollout import actions, as_bytes, digest, episode, record
 from stable_baselines3.common.env_checker import check_env as sb3_check
@@ -29,6 +28,7 @@ from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
+from tests.contract.conftest import Case
 from tests.worlds import SCENARIOS
 
 Make = Callable[..., Supervisor]

@@ -64,7 +64,7 @@ def documents() -> dict[str, dict[str, Any]]:
 
 @cache
 def _all_mistakes() -> dict[str, list[list[Any]]]:
-    return dict(yaml.safe_load((HERE / "mistakes.yaml").read_text(encoding="utf-8")))
+    return dict(yaml.load((HERE / "mistakes.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader))
 
 
 def write(folder: Path) -> Path:

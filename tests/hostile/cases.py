@@ -487,7 +487,7 @@ def _of_meshes() -> Iterator[Hostile]:
             codes or ("DB301", "DB005"),
             text,
             {file: data},
-            slow=file.endswith(".obj"),
+            slow=file.endswith((".obj", ".dae")),
         )
 
     triangle = struct.pack("<12fH", 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)

@@ -99,7 +99,6 @@ def a_start_is_set_by_its_draws(case: Case) -> None:
 def a_drawn_parameter_is_that_parameter(case: Case) -> None:
     """Where a reset sets what a device's parameter draws, the episode is that of a scenario with this value,
     also after episodes with other values."""
-    case.compile()
     section, key, interval, text, value = case.draw(st.sampled_from(DRAWN_PARAMETERS))
     data = copy.deepcopy(case.drawn.data)
     devices = [
@@ -131,14 +130,14 @@ def a_drawn_parameter_is_that_parameter(case: Case) -> None:
 def a_push_changes_nothing_before_it(case: Case) -> None:
     """A push acts from its time on, which counts from the first observation: the episode up to then is that
     without it, also where bodies settle at the start."""
-    case.compile()
     data = copy.deepcopy(case.drawn.data)
     data.pop("disturbances", None)
     if chance(case.draw, 70):
-        data.setdefault("reset", {})["settle"] = "100 ms"
+        data.setdefault("reset", {})["settle"] = f"4 * ({data['world']['timestep']})"
     data["world"]["substeps"] = case.draw(st.integers(1, 4))
     steps = case.draw(st.integers(1, 5))
-    body, kind = next(iter(data["robots"])), case.draw(st.sampled_from(("force", "torque")))
+    movable = [name for name, robot in data["robots"].items() if robot.get("base") != "fixed"]
+    body, kind = (movable or reject())[0], case.draw(st.sampled_from(("force", "torque")))
     push = {kind: f"0.3 0.2 0.1 {'N' if kind == 'force' else 'N*m'}", "duration": "1 s"}
     try:
         before = case.compile(case.write(data, "before.yaml"))

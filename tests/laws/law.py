@@ -18,19 +18,18 @@ from typing import Any, NamedTuple
 
 import hypothesis
 import numpy as np
-import yaml
 from hypothesis import HealthCheck, Phase, given, reject
 from hypothesis import strategies as st
 from hypothesis.internal.conjecture import engine
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
-from deepbots_cli.errors import EngineError, EvaluationError, RunError
+from deepbots_cli.errors import EngineError, EvaluationError, RunError, ScenarioError
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import Draw
 from tests.laws.pairs import Pair, pairs_of
 from tests.laws.reduce import reduced
-from tests.laws.scenarios import EVERY, Drawn, Profile, scenarios
+from tests.laws.scenarios import EVERY, Drawn, Profile, as_text, scenarios
 
 # A scenario has 200 draws: by default, Hypothesis shrinks a failure for five minutes. There is no setting.
 engine.MAX_SHRINKING_SECONDS = 60
@@ -75,9 +74,12 @@ class Case:
         """Compile the scenario, or another source, which must be valid if the scenario is."""
         if source is not None:
             return api.compile(source, overrides=self.overrides)
-        if any(finding.severity == "error" for finding in api.lint(self.path, overrides=self.overrides)):
+        try:
+            return api.compile(self.path, overrides=self.overrides)
+        except ScenarioError as error:
+            if not any(finding.severity == "error" for finding in error.findings):
+                raise
             reject()
-        return api.compile(self.path, overrides=self.overrides)
 
     @contextmanager
     def environment(self, source: Any = None, **options: Any) -> Iterator[Supervisor]:
@@ -85,10 +87,6 @@ class Case:
         compiled = self.compile() if source is None else source
         with closing(api.make(compiled, **options)) as environment:
             yield environment
-
-
-def as_text(data: dict[str, Any]) -> str:
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=110)
 
 
 @dataclass(frozen=True)

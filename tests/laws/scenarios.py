@@ -98,11 +98,15 @@ class Drawn:
 
     @property
     def text(self) -> str:
-        return yaml.safe_dump(self.data, sort_keys=False, allow_unicode=True, width=110)
+        return as_text(self.data)
 
     def _repr_pretty_(self, printer: Any, _cycle: bool) -> None:
         """Print the text: Hypothesis calls this for a failure."""
         printer.text(f"\n{self.text}")
+
+
+def as_text(data: dict[str, Any]) -> str:
+    return str(yaml.dump(data, Dumper=yaml.CSafeDumper, sort_keys=False, allow_unicode=True, width=110))
 
 
 def _timed(author: Author, _data: Mapping[str, Any], _place: Place) -> str:

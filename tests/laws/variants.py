@@ -151,7 +151,6 @@ def with_forms(case: Case) -> dict[str, Any]:
 def a_condition_changes_what_it_names(case: Case) -> None:
     """A level of a condition is the scenario with another amount of one property: it compiles, it is the
     scenario itself if the amount changes nothing, and all other properties and draws are the same."""
-    case.compile()
     path = case.write(with_forms(case), "drawn.yaml")
     if any(finding.severity == "error" for finding in api.lint(path, overrides=case.overrides)):
         reject()
@@ -343,7 +342,6 @@ OF_EACH_VERSION = {rule.code for rule in STATIC_RULES if rule.versions == "each"
 def a_case_is_shown_with_its_settings(case: Case) -> None:
     """`inspect --case` shows the scenario in which the settings of the case are written, and `lint` finds what
     is wrong in it."""
-    case.compile()
     plain = copy.deepcopy(case.drawn.data)
     drawn = settings(case, plain)
     for section in ("evaluation", "curriculum", "tests", "tune", "solved", "train"):

@@ -40,8 +40,8 @@ from deepbots_cli.scenario.base import MappingOf, Section, shape_at
 from deepbots_cli.scenario.fields import RESERVED, Name
 from deepbots_cli.scenario.quantities import Parsed
 from tests.laws.expressions import Draw, chance, pick, units_of
-from tests.laws.law import Case, as_text, law, reference
-from tests.laws.scenarios import LEFT_OUT
+from tests.laws.law import Case, law, reference
+from tests.laws.scenarios import LEFT_OUT, as_text
 
 Data = dict[str, Any]
 Path = tuple[str | int, ...]
