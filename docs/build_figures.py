@@ -1,4 +1,4 @@
-"""Draws the pictures of docs/figures, so that no picture goes stale.
+"""Draws the pictures of docs and of lessons, so that no picture goes stale.
 
 python docs/build_figures.py
 """
@@ -12,13 +12,18 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 NAMES = ("frames", "rays", "regions", "terrain", "channel", "value", "curriculum", "intervals", "loop")
+OF_LESSONS = {"axes": "course/01-sensors", "wheels": "course/02-motors"}
+"""Pictures that students get with their lesson, and its folder."""
 
 
 def figures() -> dict[str, str]:
-    """The text of each picture by its file name in docs/images."""
-    return {f"{name}.svg": import_module(f"figures.{name}").draw() for name in NAMES}
+    """The text of each picture by its path in the repository."""
+    folders = {**dict.fromkeys(NAMES, "docs/images"), **OF_LESSONS}
+    return {
+        f"{folder}/{name}.svg": import_module(f"figures.{name}").draw() for name, folder in folders.items()
+    }
 
 
 if __name__ == "__main__":
     for name, text in figures().items():
-        (ROOT / "docs" / "images" / name).write_text(text, encoding="utf-8")
+        (ROOT / name).write_text(text, encoding="utf-8")

@@ -3,7 +3,7 @@
     python docs/build_site.py
 
 `write_sources` copies the pages into build/docs-sources, with links that hold there, and writes those that
-are not committed: the gallery, the reference and the measurements.
+are not committed: the gallery, the lessons, the reference and the measurements.
 Sphinx makes HTML of them (conf.py). Each page is in the site as Markdown too, beside llms.txt, rules.json and
 the JSON Schema.
 """
@@ -25,6 +25,7 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "docs")]
 
+import build_course  # noqa: E402
 import build_gallery  # noqa: E402
 import build_reference  # noqa: E402
 
@@ -99,6 +100,7 @@ def built_pages() -> dict[str, str]:
         **build_reference.pages(),
         **results.built(Places(), experiments()),
         **build_gallery.pages(),
+        **build_course.pages(),
     }
 
 

@@ -52,11 +52,10 @@ class Weights:
 
 def weights_of(folder: Path, models: Sequence[Path]) -> list[Weights]:
     """Return the weights of models in the folder of runs; those of damaged files are left out."""
-    sketches = ((path, _sketch(path)) for path in models[:_MAX_MODELS])
     return [
         Weights(path.relative_to(folder).as_posix().replace("/models/agent/", "/"), *sketch)
-        for path, sketch in sketches
-        if sketch is not None
+        for path in models[:_MAX_MODELS]
+        if (sketch := _sketch(path)) is not None
     ]
 
 

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import date
@@ -25,9 +25,10 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from deepbots_cli.course.copies import without_copies
-from deepbots_cli.course.hand_ins import HandInError, collect
+from deepbots_cli.course.hand_ins import collect
 from deepbots_cli.course.lessons import Lesson
 from deepbots_cli.course.marking import CheckMark, StepMark, guarded, unfinished
+from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import csv_text
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.records import dataclass
@@ -90,12 +91,13 @@ class Marks:
     @property
     def all_remarks(self) -> tuple[str, ...]:
         """The remarks about the hand-in and about its steps, each once."""
+        if self.refused:
+            return (_readable(self.refused), *map(_readable, self.remarks))
         own = [remark for step in self.steps for remark in step.remarks]
         own += [
             f"{step.step}: {check.reason}" for step in self.steps for check in step.checks if check.is_open
         ]
-        every = (*((self.refused,) if self.refused else ()), *self.remarks, *own)
-        return tuple(dict.fromkeys(map(_readable, every)))
+        return tuple(dict.fromkeys(map(_readable, (*self.remarks, *own))))
 
     @property
     def for_teacher(self) -> tuple[str, ...]:
@@ -127,7 +129,6 @@ class Interrupted(KeyboardInterrupt):
     """Ctrl-C while a class is marked; `marks` are those of the hand-ins that were begun."""
 
     def __init__(self, marks: list[Marks]) -> None:
-        super().__init__()
         self.marks = marks
 
 
@@ -142,7 +143,7 @@ def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]
         single += visible if is_class else [path]
     named: dict[str, Path] = {}
     for path in single:
-        name = _readable(path.stem if path.suffix in _SUFFIXES else path.resolve().name)
+        name = _readable(path.stem if path.suffix in _SUFFIXES else Path(os.path.abspath(path)).name)
         numbers = (f"{name} ({number})" for number in count(2))
         named[next(free for free in (name, *islice(numbers, len(single))) if free not in named)] = path
     return list(named.items())
@@ -174,13 +175,13 @@ def grade(
         limits: The limits of each step.
         on_marks: Called with the marks of a student once they are known, and the number of students so far.
     """
-    bounds = limits or (TRAINING_LIMITS if train else Limits())
+    limits = limits or (TRAINING_LIMITS if train else Limits())
     lock, stop = threading.Lock(), threading.Event()
     done = 0
 
     def marked(entry: tuple[str, Path]) -> Marks:
         nonlocal done
-        marks = _mark_one(lesson, *entry, {"seed": seed, "train": train}, bounds, stop)
+        marks = _mark_one(lesson, *entry, {"seed": seed, "train": train}, limits, stop)
         with lock:
             if not stop.is_set():
                 done += 1
@@ -219,22 +220,22 @@ def _mark_one(
 ) -> Marks:
     with tempfile.TemporaryDirectory(prefix="deepbots-marks-", ignore_cleanup_errors=True) as name:
         folder, work = Path(name, "handed_in"), Path(name, "work")
-        folder.mkdir()
-        work.mkdir()
         try:
-            hand_in = collect(path, student, folder, lesson)
+            folder.mkdir()
+            work.mkdir()
+            files, remarks = collect(path, folder, lesson)
         except Exception as error:  # noqa: BLE001 - libraries raise anything for damaged archives
-            reason = (
-                str(error) if isinstance(error, HandInError) else f"it is damaged ({type(error).__name__})"
-            )
-            steps = (unfinished(step, content, reason) for step, content in lesson.steps.items())
-            return Marks(student, lesson.name, tuple(steps), (), f"nothing is marked: {reason}")
-        request = {"lesson": str(lesson.folder.resolve()), "folder": str(hand_in.folder), "work": str(work)}
+            is_clear = isinstance(error, UsageError | OSError)
+            reason = str(error) if is_clear else f"it is damaged ({type(error).__name__})"
+            is_full = isinstance(error, StorageError | OSError)
+            steps = tuple(unfinished(*step, reason, is_open=is_full) for step in lesson.steps.items())
+            return Marks(student, lesson.name, steps, refused=f"nothing is marked: {reason}")
+        request = {"lesson": str(lesson.folder.resolve()), "folder": str(files), "work": str(work)}
         marks = [
             _mark_step(lesson, step, {**request, **options, "step": step}, limits, stop)
             for step in lesson.steps
         ]
-    return Marks(student, lesson.name, tuple(marks), hand_in.remarks)
+    return Marks(student, lesson.name, tuple(marks), remarks)
 
 
 def _mark_step(
@@ -242,19 +243,13 @@ def _mark_step(
 ) -> StepMark:
     """Return the marks of a step, which a process of its own finds."""
     heard: dict[str, Any] = {"cpu": 0.0, "checks": []}
-    codes: list[int] = []
-    is_over = threading.Event()
-
-    def over(code: int) -> None:
-        codes.append(code)
-        is_over.set()
-
+    ended: Future[int] = Future()
     work = Path(request["work"])
     process = Process(
         "deepbots_cli.course.marking_process",
         *map(str, (limits.cpu, limits.memory, limits.disk)),
         hear=lambda line: heard.update(json.loads(line)),
-        on_end=over,
+        on_end=ended.set_result,
         environment={"TMPDIR": str(work), "OMP_NUM_THREADS": "1", "HOME": str(work)},
         quiet=True,
         apart=True,
@@ -263,7 +258,7 @@ def _mark_step(
     used, used_at = 0.0, time.monotonic()
     reason, is_open = "", False
     too_long = f"it took more than {limits.cpu} s of CPU time"
-    while not reason and not is_over.wait(1.0):
+    while not reason and not wait([ended], timeout=1.0).done:
         if heard["cpu"] >= used + 1.0:
             used, used_at = heard["cpu"], time.monotonic()
         if stop.is_set():
@@ -275,14 +270,16 @@ def _mark_step(
         elif _size(work) > limits.disk * 2**20:
             reason = f"it wrote more than {limits.disk} MiB"
     process.end()
-    is_over.wait()
+    word = ending(ended.result())
     if not reason and "step" in heard:
         return TypeAdapter(StepMark).validate_python(heard)
-    word = ending(codes[0])
+    if not reason and ("failed" in heard or word in ("SIGHUP", "SIGINT", "SIGTERM")):
+        reason = f"not marked: {heard.get('failed') or f'its process was ended ({word})'}; mark it again"
+        is_open = True
     reasons = {"SIGXCPU": too_long, "SIGKILL": "it took too much time or memory"}
     reason = reason or reasons.get(word, f"the program that marks it ended ({word})")
-    finished = [CheckMark(**check) for check in heard["checks"]]
-    return unfinished(step, lesson.steps[step], reason, finished, is_open=is_open)
+    finished = (CheckMark(**check) for check in heard["checks"])
+    return unfinished(step, lesson.steps[step], reason, [*finished], is_open=is_open)
 
 
 def _size(folder: Path) -> int:

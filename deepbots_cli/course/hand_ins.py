@@ -7,7 +7,9 @@ round.
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import json
 import os
 import re
 import shutil
@@ -30,9 +32,9 @@ from deepbots_cli.course.lessons import (
 )
 from deepbots_cli.document import MappingNode, Node, ScalarNode, to_data, walk
 from deepbots_cli.document.nodes import node_at
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.expressions import parser, syntax
-from deepbots_cli.files import read_at_most
+from deepbots_cli.files import read_at_most, unwritable_message
 from deepbots_cli.records import dataclass
 
 MAX_FILES = 2_000
@@ -44,7 +46,7 @@ _CHUNK = 2**20
 _MAX_LINKS = 3
 """The number of links of a hand-in that are named."""
 _MAX_FILE_BYTES = 2**20
-_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs", "world.png")
+_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs")
 """What a student has beside the files of the exercise."""
 
 
@@ -52,20 +54,13 @@ class HandInError(UsageError):
     """A hand-in that cannot be marked; the message is the reason."""
 
 
-@dataclass(frozen=True)
-class HandIn:
-    """A copy of what a student handed in, with remarks about what was left out."""
-
-    student: str
-    folder: Path
-    remarks: tuple[str, ...] = ()
-
-
-def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
-    """Copy a hand-in into an empty folder.
+def collect(path: Path, into: Path, lesson: Lesson) -> tuple[Path, tuple[str, ...]]:
+    """Copy a hand-in into an empty folder. Returns the folder with its files in it, and remarks about what was
+    left out.
 
     Raises:
         HandInError: It is missing, too large, damaged, or of another kind.
+        StorageError: The disk of the grader is full.
     """
     remarks: list[str] = []
     try:
@@ -82,9 +77,11 @@ def collect(path: Path, student: str, into: Path, lesson: Lesson) -> HandIn:
         else:
             raise HandInError("it is neither a folder, nor a zip, nor a YAML file")
     except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise StorageError(unwritable_message(into, error)) from None
         raise HandInError(f"it cannot be read: {(error.strerror or type(error).__name__).lower()}") from None
     folder = _inner_folder(into, lesson)
-    return HandIn(student, folder, (*remarks, *_foreign_files(folder, lesson)))
+    return folder, (*remarks, *_foreign_files(folder, lesson))
 
 
 def _inner_folder(folder: Path, lesson: Lesson) -> Path:
@@ -105,7 +102,9 @@ def _foreign_files(folder: Path, lesson: Lesson) -> Iterator[str]:
     taken = {name for step in lesson.steps.values() for name in step.files}
     expected = {path.name for path in start.iterdir()} | steps | taken | set(_OWN)
     foreign = sorted(
-        path.name for path in folder.iterdir() if path.name not in expected and path.suffix != ".png"
+        path.name
+        for path in folder.iterdir()
+        if path.name not in expected and path.suffix not in (".png", ".svg")
     )
     if foreign:
         yield f"{', '.join(foreign[:5])}: not a part of the exercise, and without effect on the marks"
@@ -200,6 +199,15 @@ class StepFile:
     is_changed: bool = True
 
     @property
+    def assignments(self) -> list[str]:
+        """The parts that are single values or lists, as assignments `path=value` to the teacher's task."""
+        return [
+            f"{path}={json.dumps(value)}"
+            for path, part in self.parts.items()
+            if not isinstance(part, MappingNode) and (value := to_data(part)) is not None
+        ]
+
+    @property
     def digest(self) -> str:
         """The digest of the values of the parts."""
         data = {path: to_data(node) for path, node in sorted(self.parts.items())}
@@ -220,10 +228,9 @@ def read_step(folder: Path, name: str, step: Step, start: Path) -> StepFile:
     """
     file = f"{name}.yaml"
     root = _root(folder / file, file)
-    parts = {path: part for path in step.parts if (part := node_at(root, *path.split("."))) is not None}
+    parts = _parts_of(root, step)
     started = _root(start / file, file) if (start / file).is_file() else None
-    before = {path: node_at(started, *path.split(".")) for path in step.parts}
-    is_changed = any(_data(parts.get(path)) != _data(node) for path, node in before.items())
+    is_changed = StepFile(parts).digest != StepFile(_parts_of(started, step)).digest
     is_changed = is_changed or any(_content(folder / name) != _content(start / name) for name in step.files)
     for path, part in parts.items() if is_changed else ():
         _check_part(path, part, step)
@@ -244,27 +251,20 @@ def _content(path: Path) -> bytes | None:
     return content
 
 
-def _data(node: Node | None) -> object:
-    return None if node is None else to_data(node)
+def _parts_of(root: MappingNode | None, step: Step) -> dict[str, Node]:
+    return {path: part for path in step.parts if (part := node_at(root, *path.split("."))) is not None}
 
 
 def _root(path: Path, file: str) -> MappingNode:
     if path.is_symlink() or not path.is_file():
         raise HandInError(f"there is no {file}")
-    node, findings = read_mapping(path, file)
-    errors = [finding for finding in findings if finding.severity == "error"]
-    if node is None or errors:
-        first = next(iter(errors or findings), None)
-        reason = "it is not a mapping" if first is None else f"{first.span.location}: {first.headline}"
-        raise HandInError(f"{file} cannot be read: {reason}")
-    return node
+    try:
+        return read_mapping(path, file)
+    except UsageError as error:
+        raise HandInError(f"{file} cannot be read: {error}") from None
 
 
 def _check_part(path: str, part: Node, step: Step) -> None:
-    if isinstance(part, ScalarNode) and part.value is None:
-        return
-    if not isinstance(part, MappingNode):
-        raise HandInError(f"`{path}` is not a mapping ({part.span.location})")
     for inner, node in walk(part):
         key = next((key for key in inner if key in _STRUCTURE), None)
         if key is not None:
@@ -278,7 +278,7 @@ def _check_part(path: str, part: Node, step: Step) -> None:
                 raise HandInError(
                     f"`{words[0]}` may not be used in `{path}` ({node.span.location}) in this step"
                 )
-        if step.only and len(inner) == 1 and inner[0] not in step.only:
+        if step.only and isinstance(part, MappingNode) and len(inner) == 1 and inner[0] not in step.only:
             allowed = ", ".join(f"`{name}`" for name in step.only)
             raise HandInError(
                 f"only {allowed} may stand in `{path}`, not `{inner[0]}` ({node.span.location})"
@@ -336,11 +336,8 @@ def write_parts(step_file: StepFile, step: Step, own: Path, folder: Path) -> Non
         part = step_file.parts.get(path)
         text = "{}"
         if isinstance(part, MappingNode) and part.entries:
-            source = part.span.source.text
-            above = "".join(
-                character if character == "\n" else " " for character in source[: part.span.start]
-            )
-            text = above + source[part.span.start : part.span.end]
+            above = re.sub(r"[^\n]", " ", part.span.source.text[: part.span.start])
+            text = above + part.span.text
         (folder / HANDED_IN / f"{path}.yaml").write_text(text + "\n", encoding="utf-8")
     for name in step.files:
         content = _content(own / name)

@@ -20,7 +20,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from deepbots_cli.diagnostics import Findings
-from deepbots_cli.document import MappingNode, files, shipped, to_data
+from deepbots_cli.document import MappingNode, Node, files, shipped, to_data
+from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
@@ -110,7 +111,7 @@ class Step(_Part):
     Attributes:
         goal: What the student does, in a sentence.
         parts: The sections that the teacher's task takes from the file of the student, such as `reward` or
-            `robots.rover.sensors`; each is a mapping.
+            `robots.rover.sensors`. The task includes mappings; a value, such as `world.timestep`, replaces its own.
         files: Files that the task takes beside them, such as `robot.urdf`; of at most 1 MiB.
         only: The keys that may stand directly in the parts; all, if empty.
         sensors: The types of sensors that the parts may have; None allows all.
@@ -137,10 +138,6 @@ class Step(_Part):
     def points(self) -> int:
         return sum(check.points for check in self.checks)
 
-    @property
-    def needs_policy(self) -> bool:
-        return any(check.kind == "policy" for check in self.checks)
-
     @model_validator(mode="after")
     def _has_parts(self) -> Step:
         if not self.parts and any(check.kind != "answer" for check in self.checks):
@@ -166,10 +163,6 @@ class Lesson:
     content: _Lesson
 
     @property
-    def title(self) -> str:
-        return self.content.title
-
-    @property
     def steps(self) -> Mapping[str, Step]:
         return self.content.steps
 
@@ -179,7 +172,7 @@ class Lesson:
 
     @property
     def label(self) -> str:
-        return f"{self.number} {self.title}" if self.number else self.title
+        return f"{self.number} {self.content.title}" if self.number else self.content.title
 
     @property
     def step_files(self) -> tuple[str, ...]:
@@ -189,32 +182,45 @@ class Lesson:
         files = (f"{name}.yaml" for name, step in self.steps.items() if step.parts)
         return (*files, *([ANSWERS_NAME] if has_answers else []))
 
-    def task(self, step: str) -> Path:
-        """Return the teacher's task of a step."""
-        return self.folder / CHECKS / f"{step}.yaml"
-
     def text(self, name: Literal["text.md", "teacher.md"]) -> str:
         """Return a page of the lesson; empty if it has none."""
         path = self.folder / name
         return read_at_most(path, _MAX_BYTES).decode("utf-8", "replace") if path.is_file() else ""
 
 
-def read_mapping(path: Path, display: str | None = None) -> tuple[MappingNode | None, Findings]:
-    """Return a YAML file as a mapping without its `include`s; None, with findings, if it is none.
+def parsed(path: Path, display: str | None = None) -> tuple[Node | None, Findings]:
+    """Return what can be read of a YAML file, without its `include`s, and its mistakes.
 
     Raises:
         OSError: The file cannot be read.
     """
-    findings = Findings(20)
-    source, is_readable = files.decode(files.read(path), display or path.name, findings)
-    node = parse(source, findings) if is_readable else None
-    return (node if isinstance(node, MappingNode) else None), findings
+    findings = Findings()
+    source, is_readable = files.decode(files.read(path), display or str(path), findings)
+    return (parse(source, findings) if is_readable else None), findings
+
+
+def read_mapping(path: Path, display: str | None = None) -> MappingNode:
+    """Return a YAML file as a mapping without its `include`s.
+
+    Raises:
+        OSError: The file cannot be read.
+        UsageError: It has a mistake, whose line the message names, or is not a mapping.
+    """
+    node, findings = parsed(path, display)
+    for error in findings.errors:
+        raise UsageError(f"{error.span.location}: {error.headline}")
+    if not isinstance(node, MappingNode):
+        raise UsageError(f"{display or path}: it is not a mapping")
+    return node
 
 
 def data_of(path: Path) -> dict[str, Any]:
-    """Return a YAML file as data without its `include`s; empty if it is not a mapping."""
-    node, _ = read_mapping(path)
-    data: Any = {} if node is None else to_data(node)
+    """Return a YAML file as data without its `include`s.
+
+    Raises:
+        OSError, UsageError: As for `read_mapping`.
+    """
+    data: Any = to_data(read_mapping(path))
     return dict(data)
 
 
@@ -222,19 +228,15 @@ def read_lesson(folder: Path) -> Lesson:
     """Read a lesson.
 
     Raises:
-        UsageError: The folder is not a lesson, or `lesson.yaml` has a mistake.
+        UsageError: The folder is not a lesson, or `lesson.yaml` or a task has a mistake.
     """
     path = folder / LESSON_NAME
     if not path.is_file():
         raise UsageError(
             f"{folder} is not a lesson: it has no {LESSON_NAME}; `deepbots new --lesson NAME` writes one"
         )
-    node, findings = read_mapping(path)
-    if node is None:
-        reason = next((finding.headline for finding in findings), "it is not a mapping")
-        raise UsageError(f"{path}: {reason}")
     try:
-        content = _Lesson.model_validate(to_data(node))
+        content = _Lesson.model_validate(data_of(path))
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         where = ".".join(map(str, first["loc"]))
@@ -246,9 +248,14 @@ def read_lesson(folder: Path) -> Lesson:
         int(numbered[1]) if numbered else 0,
         content,
     )
-    for step, is_needed in ((name, bool(step.parts)) for name, step in content.steps.items()):
-        if is_needed and not lesson.task(step).is_file():
-            raise UsageError(f"{folder} has no {CHECKS}/{step}.yaml, the task of its step `{step}`")
+    for name, step in content.steps.items():
+        task = folder / CHECKS / f"{name}.yaml"
+        if step.parts and not task.is_file():
+            raise UsageError(f"{folder} has no {CHECKS}/{name}.yaml, the task of its step `{name}`")
+        tests = entries_at(read_mapping(task), "tests") if step.parts else {}
+        for check in step.checks:
+            if check.test is not None and check.test not in tests:
+                raise UsageError(f"{task} has no test `{check.test}`, which the step `{name}` checks")
     return lesson
 
 

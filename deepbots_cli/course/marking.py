@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from deepbots_cli import __version__, api
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
@@ -35,13 +35,15 @@ from deepbots_cli.course.lessons import (
     Lesson,
     Step,
     data_of,
+    parsed,
     rate_or_return,
     read_mapping,
     settings_of,
 )
-from deepbots_cli.document import ScalarNode
+from deepbots_cli.document import Node, ScalarNode
+from deepbots_cli.document.nodes import node_at
 from deepbots_cli.engine_kinds import chosen
-from deepbots_cli.errors import DeepbotsError, ScenarioError
+from deepbots_cli.errors import DeepbotsError, ScenarioError, StorageError
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.records import dataclass
@@ -56,7 +58,6 @@ if TYPE_CHECKING:
 UNCHANGED = "not changed yet"
 _MAX_REASON = 400
 _YES_OR_NO = {"true": "yes", "false": "no"}
-_MISSING_TEST = "the task has no such test; tell your teacher"
 _Quantity = tuple[float, Dimension]
 """A number in SI units, and its dimension."""
 _UNTRAINED = ("deepbots", "evaluation", "name", "role", "scripts", "solved", "summary", "tests", "train")
@@ -148,6 +149,8 @@ class Marker:
         train: Whether to train a policy where a check needs one, in place of the one that was handed in.
         takes_unchanged: Whether to mark also what was not changed.
         on_check: Called after each check with the marks of the step so far.
+        remarks: What the marker saw beside the checks of the step.
+        parts: The parts that were handed in for the step.
     """
 
     lesson: Lesson
@@ -158,27 +161,31 @@ class Marker:
     takes_unchanged: bool = False
     on_check: Callable[[Sequence[CheckMark]], object] = lambda checks: None
     remarks: list[str] = field(default_factory=list)
+    parts: dict[str, Node] = field(default_factory=dict)
 
     def mark(self, name: str) -> StepMark:
-        """Return the marks of a step. Mistakes of the student are reasons, not errors."""
+        """Return the marks of a step. Mistakes of the student are reasons, not errors.
+
+        Raises:
+            OSError, StorageError: The disk of the grader is full.
+        """
         step = self.lesson.steps[name]
         self.remarks = []
-        answers = self._answers()
         reason = ""
         if step.parts:
             try:
-                return self._marked(name, step, answers)
+                return self._marked(name, step)
             except HandInError as error:
                 reason = str(error)
             except ScenarioError as error:
                 errors = [finding for finding in error.findings if finding.severity == "error"]
-                own = [error for error in errors if HANDED_IN in Path(error.span.source.name).parts]
+                own = [error for error in errors if _is_handed_in(error)]
                 reason = self._finding(name, (own or errors)[0])
         marks = zip(unfinished(name, step, reason).checks, step.checks, strict=True)
-        checks = (self._answered(check, answers) if check.kind == "answer" else mark for mark, check in marks)
+        checks = (self._answered(check) if check.kind == "answer" else mark for mark, check in marks)
         return StepMark(name, tuple(checks), tuple(self.remarks))
 
-    def _marked(self, name: str, step: Step, answers: dict[str, Any]) -> StepMark:
+    def _marked(self, name: str, step: Step) -> StepMark:
         """Return the marks of the teacher's task with the parts of the student.
 
         Raises:
@@ -187,6 +194,7 @@ class Marker:
         """
         written = read_step(self.folder, name, step, self.lesson.folder / START)
         self.remarks += written.remarks
+        self.parts = written.parts
         if not written.is_changed and not self.takes_unchanged:
             raise HandInError("; ".join((UNCHANGED, *self._own_errors(name))))
         project = self.work / name
@@ -195,8 +203,8 @@ class Marker:
         (project / "deepbots.toml").touch()  # one project, so that a task may extend the world of `start`
         write_parts(written, step, self.folder, project / CHECKS)
         task = project / CHECKS / f"{name}.yaml"
-        compiled = api.compile(_with_tests(task, ()))
-        tests = self._tests(name, task, step)
+        compiled = api.compile(_with_tests(task, ()), overrides=written.assignments)
+        tests = self._tests(name, task, step, written.assignments)
         policy = _Policy(self, name, compiled, written)
         marks = []
         for check in step.checks:
@@ -207,9 +215,11 @@ class Marker:
                     case "without":
                         marks.append(self._linted(name, check, compiled.findings))
                     case "answer":
-                        marks.append(self._answered(check, answers))
+                        marks.append(self._answered(check))
                     case "policy":
                         marks.append(policy.mark(check))
+            except StorageError:
+                raise
             except DeepbotsError as error:
                 reason = str(error).replace(f"{self.folder}/", "").replace(f"{self.work}/", "")
                 marks.append(CheckMark(check.says, 0, check.points, " ".join(reason.split())[:_MAX_REASON]))
@@ -226,23 +236,33 @@ class Marker:
             errors = (finding for finding in api.load(own).findings if finding.severity == "error")
             yield from (self._finding(name, error, is_of_student=True) for error in islice(errors, 1))
 
-    def _finding(self, name: str, finding: Finding, *, is_of_student: bool = False) -> str:
-        position = finding.span.start_position
-        is_of_student = is_of_student or HANDED_IN in Path(finding.span.source.name).parts
-        place = f":{position.line}:{position.column}" if is_of_student else " lacks what the test needs"
+    def _finding(
+        self, name: str, finding: Finding, test: Node | None = None, *, is_of_student: bool = False
+    ) -> str:
+        """Return a finding with its place in the file of the student; one of a test, or of what it needs, with
+        that in the teacher's task."""
+        value = self.parts.get(finding.span.source.assigned or "")
+        if is_of_student or value is not None or _is_handed_in(finding):
+            place = ":{}:{}".format(*(value or finding).span.start_position)
+        else:
+            span = (test or finding).span
+            where = (*Path(span.source.name).parts[-2:], span.start_position.line)
+            place = " lacks what the test needs ({}/{}:{})".format(*where)
         help = f"; {finding.help}" if finding.help else ""
         return f"{name}.yaml{place}: {finding.headline} ({finding.code}){help}"
 
-    def _tests(self, name: str, task: Path, step: Step) -> dict[str, ScenarioTest | str]:
+    def _tests(
+        self, name: str, task: Path, step: Step, assignments: Sequence[str]
+    ) -> dict[str, ScenarioTest | str]:
         """Return the tests of the step. For one that cannot be compiled with the parts of the student, because
         it names what they lack, return the reason."""
         tests: dict[str, ScenarioTest | str] = {}
+        root = read_mapping(task)
         for one in (check.test for check in step.checks if check.test is not None):
-            checked = api.load(_with_tests(task, (one,)), tests=True)
+            checked = api.load(_with_tests(task, (one,)), overrides=assignments, tests=True)
             errors = [finding for finding in checked.findings if finding.severity == "error"]
-            tests[one] = (
-                self._finding(name, errors[0]) if errors else next(iter(checked.tests), _MISSING_TEST)
-            )
+            reason = self._finding(name, errors[0], node_at(root, "tests", one)) if errors else ""
+            tests[one] = reason or checked.tests[0]
         return tests
 
     def _tested(self, check: Check, compiled: Compiled, test: ScenarioTest | str) -> CheckMark:
@@ -267,16 +287,10 @@ class Marker:
             return CheckMark(check.says, check.points, check.points)
         return CheckMark(check.says, 0, check.points, self._finding(name, finding))
 
-    def _answers(self) -> dict[str, Any]:
+    def _answered(self, check: Check) -> CheckMark:
         path = self.folder / ANSWERS_NAME
-        if path.is_symlink() or not path.is_file():
-            return {}
-        node, _ = read_mapping(path, ANSWERS_NAME)
-        entries = {} if node is None else node.entries
-        return {key: entry.value for key, entry in entries.items()}
-
-    def _answered(self, check: Check, answers: dict[str, Any]) -> CheckMark:
-        node = answers.get(check.answer or "")
+        is_file = path.is_file() and not path.is_symlink()
+        node = node_at(parsed(path, ANSWERS_NAME)[0], check.answer or "") if is_file else None
         if not isinstance(node, ScalarNode) or node.value is None or not node.text.strip():
             reason = (
                 f"there is no answer in {ANSWERS_NAME}: write one value after `{check.answer}:` and a space"
@@ -298,7 +312,7 @@ def guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
     if any(mark.points and not check.guard and check.kind != "answer" for check, mark in pairs):
         return tuple(marks)
     reason = "this is right, and counts once another check of this step earns points"
-    if step.needs_policy:
+    if any(check.kind == "policy" for check in step.checks):
         reason += ": train longer, or change what the policy learns from"
     return tuple(
         replace(mark, points=0, reason=mark.reason or reason) if check.guard else mark
@@ -307,12 +321,16 @@ def guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
 
 
 def _with_tests(task: Path, names: Sequence[str]) -> Path:
-    """Write a task with only these of its tests beside it; JSON is YAML. Returns its path."""
-    data = data_of(task)
-    tests = {name: test for name, test in (data.pop("tests", None) or {}).items() if name in names}
+    """Write a scenario that extends a task, with only these of its tests; JSON is YAML. Returns its path."""
+    tests = data_of(task)["tests"] if names else {}
+    data = {"deepbots": 1, "extends": task.name, "tests": {name: tests[name] for name in names}}
     path = task.with_name("-".join((task.stem, "only", *names)) + ".yaml")
-    path.write_text(json.dumps(data | ({"tests": tests} if tests else {})), encoding="utf-8")
+    path.write_text(json.dumps(data), encoding="utf-8")
     return path
+
+
+def _is_handed_in(finding: Finding) -> bool:
+    return HANDED_IN in Path(finding.span.source.name).parts
 
 
 def is_right(text: str, expected: str | float) -> bool:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import sys
 import threading
 import time
@@ -30,6 +31,7 @@ def main(cpu_s: int, memory_mib: int, file_mib: int) -> None:
     os.chdir(work)
     from deepbots_cli.course.lessons import read_lesson
     from deepbots_cli.course.marking import Marker
+    from deepbots_cli.errors import StorageError
 
     is_done = threading.Event()
 
@@ -39,7 +41,10 @@ def main(cpu_s: int, memory_mib: int, file_mib: int) -> None:
 
     def beat() -> None:
         while not is_done.wait(1.0):
-            tell({"cpu": time.process_time()})
+            try:
+                tell({"cpu": time.process_time()})
+            except OSError:  # the grader has ended
+                os._exit(1)
 
     threading.Thread(target=beat, daemon=True).start()
     marker = Marker(
@@ -50,9 +55,13 @@ def main(cpu_s: int, memory_mib: int, file_mib: int) -> None:
         train=request["train"],
         on_check=lambda checks: tell({"checks": [vars(check) for check in checks]}),
     )
-    mark = marker.mark(request["step"])
+    try:
+        answer = asdict(marker.mark(request["step"]))
+    except (OSError, StorageError) as error:  # the disk of the grader is full
+        first = error.args[0][0][-1] if isinstance(error, shutil.Error) else error
+        answer = {"failed": str(first)}
     is_done.set()
-    tell({**asdict(mark), "cpu": time.process_time()})
+    tell({**answer, "cpu": time.process_time()})
 
 
 if __name__ == "__main__":

@@ -118,7 +118,7 @@ def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
         shutil.copytree(files, folder, dirs_exist_ok=True)
     if text := lesson.text("text.md"):
         (folder / "README.md").write_text(text, encoding="utf-8")
-    for picture in sorted(lesson.folder.glob("*.png")):
+    for picture in (*lesson.folder.glob("*.png"), *lesson.folder.glob("*.svg")):
         shutil.copy(picture, folder)
     reference = lesson.name if lesson.folder.parent == course_folder() else str(lesson.folder.resolve())
     Started(folder, reference).write()

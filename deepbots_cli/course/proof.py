@@ -30,34 +30,22 @@ class Proven:
     reason: str = ""
 
 
-def _appended(text: str) -> Cheat:
-    """Return a cheat that adds lines to the end of each step."""
+def _changed(change: Callable[[str], str], *, worlds: bool = False) -> Cheat:
+    """Return a cheat that changes the text of each step, or of the files that the steps extend."""
 
     def cheat(folder: Path) -> None:
-        for path in _steps(folder):
-            path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
+        for path in _worlds(folder) if worlds else _steps(folder):
+            path.write_text(change(path.read_text(encoding="utf-8")), encoding="utf-8")
 
     return cheat
+
+
+def _appended(lines: str, *, worlds: bool = False) -> Cheat:
+    return _changed(lambda text: f"{text.rstrip()}\n{lines}\n", worlds=worlds)
 
 
 def _replaced(old: str, new: str) -> Cheat:
-    def cheat(folder: Path) -> None:
-        for path in _steps(folder):
-            path.write_text(path.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
-
-    return cheat
-
-
-def _world(text: str) -> Cheat:
-    """Return a cheat that adds lines to the files that the steps extend."""
-
-    def cheat(folder: Path) -> None:
-        for path in folder.glob("*.yaml"):
-            is_world = path.name != ANSWERS_NAME and "extends:" not in path.read_text(encoding="utf-8")
-            if is_world:
-                path.write_text(f"{path.read_text(encoding='utf-8').rstrip()}\n{text}\n", encoding="utf-8")
-
-    return cheat
+    return _changed(lambda text: text.replace(old, new))
 
 
 def _linked(folder: Path) -> None:
@@ -92,6 +80,10 @@ def _steps(folder: Path) -> list[Path]:
     return [path for path in sorted(folder.glob("*.yaml")) if "extends:" in path.read_text(encoding="utf-8")]
 
 
+def _worlds(folder: Path) -> list[Path]:
+    return [path for path in folder.glob("*.yaml") if path not in {*_steps(folder), folder / ANSWERS_NAME}]
+
+
 CHEATS: Mapping[str, Cheat] = {
     "endings of its own": _appended("termination: {success: {now: true}}"),
     "`solved` of its own": _appended("solved: success_rate >= 0 % over 1 episodes"),
@@ -105,7 +97,7 @@ CHEATS: Mapping[str, Cheat] = {
     "another name": _replaced("name: ", "name: Solution"),
     "another scenario extended": _replaced("extends: world.yaml", "extends: cartpole"),
     "the solution extended": _replaced("extends: world.yaml", f"extends: ../{SOLUTION}/world.yaml"),
-    "an easier world": _world("truncation: {max_steps: 1}"),
+    "an easier world": _appended("truncation: {max_steps: 1}", worlds=True),
     "a large file": _appended("# " + "x" * (2 << 20)),
     "deep nesting": _appended("deep: " + "[" * 2000),
     "aliases that grow": _appended(
@@ -180,11 +172,9 @@ def _cheats(
         for marks in cheats:
             # A run is read only for a step that was changed.
             is_named = bool(marks.all_remarks) or _reasons(marks) != _reasons(honest)
-            is_named = is_named or CHEATS[marks.student] is _run
+            is_right = marks.points <= honest.points and (is_named or CHEATS[marks.student] is _run)
             expected = f"at most {honest.points}, and a remark"
-            yield _proven(
-                f"cheat: {marks.student}", marks, is_named and marks.points <= honest.points, expected
-            )
+            yield _proven(f"cheat: {marks.student}", marks, is_right, expected)
 
 
 def _guards(lesson: Lesson) -> Iterator[Proven]:

@@ -9,6 +9,7 @@ from functools import partial
 from nicegui import run, ui
 
 from deepbots_cli.course.grading import Marks
+from deepbots_cli.course.lessons import Lesson
 from deepbots_cli.course.progress import started_in
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.studio.layout import ICONS, text_with_code
@@ -45,8 +46,9 @@ class LessonTab:
             self._check = ui.button("Check", icon=ICONS["check"], on_click=self._mark)
             self._check.props("dense unelevated no-caps")
         with ui.element("div").classes("studio-lesson"):
-            text = lesson.text("text.md").replace("](world.png)", f"]({self._picture()})")
-            text = text.replace("```yaml part", "```yaml")  # which the renderer does not know
+            text = _with_pictures(lesson).replace(
+                "```yaml part", "```yaml"
+            )  # which the renderer does not know
             for command, words in _ON_THE_PAGE.items():
                 text = re.sub(rf"(?m)^\$ deepbots {command}$", rf"\g<0>  # or {words}", text)
             ui.markdown(text).classes("studio-answer studio-lesson-text")
@@ -56,12 +58,6 @@ class LessonTab:
                 self._heading(name, f"{step.points} points")
                 text_with_code(step.goal)
                 self._list_hints(name, ui.element("div"))
-
-    def _picture(self) -> str:
-        """Return the address of the picture of the world, which the page of the studio may read."""
-        from nicegui import app
-
-        return str(app.add_media_file(local_file=self._session.folder / "world.png"))
 
     async def _mark(self) -> None:
         """Save, mark the folder, and show the points."""
@@ -132,3 +128,13 @@ class LessonTab:
         with ui.element("div").classes("studio-lesson-heading"):
             ui.label(name).props('role="heading" aria-level="3"')
             ui.label(points)
+
+
+def _with_pictures(lesson: Lesson) -> str:
+    """Return the text of a lesson with addresses of its pictures, which the page of the studio may read."""
+    from nicegui import app
+
+    text = lesson.text("text.md")
+    for name in re.findall(r"\]\((\w+\.(?:png|svg))\)", text):
+        text = text.replace(f"]({name})", f"]({app.add_media_file(local_file=lesson.folder / name)})")
+    return text

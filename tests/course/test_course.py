@@ -9,12 +9,14 @@ import shutil
 import signal
 import stat
 import subprocess
+import threading
 import time
 import zipfile
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -22,6 +24,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import api
+from deepbots_cli.course import grading
 from deepbots_cli.course.copies import Weights, without_copies
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
@@ -31,8 +34,9 @@ from deepbots_cli.course.proof import CHEATS, prove
 from deepbots_cli.course.proof import _policy_points as points_of_policies
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import train
-from deepbots_cli.processes import python_command, python_environment
+from deepbots_cli.processes import Process, python_command, python_environment
 from tests.commands import Deepbots
+from tests.few import few
 
 LESSON = """
 title: Small
@@ -137,7 +141,8 @@ def test_a_finding_names_the_line_of_the_student(lesson: Lesson, tmp_path: Path)
         (
             "sense",
             SENSE % SENSOR.replace("angle", "angel"),
-            "sense.yaml lacks what the test needs: unknown name `cart.angle` (DB402); did you mean `cart.angel`?",
+            "sense.yaml lacks what the test needs (checks/sense.yaml:8): unknown name `cart.angle` (DB402);"
+            " did you mean `cart.angel`?",
         ),
     ],
 )
@@ -162,7 +167,7 @@ def test_a_failed_test_says_what_the_robot_of_the_student_did(
             STEP.replace("position(cart).x", "velocity(cart).x") % "1",
             "`velocity` may not be used in `augment`",
         ),
-        ("mend", "reward: [1]\n", "`reward` is not a mapping (mend.yaml:1:9)"),
+        ("mend", "reward: [1]\n", "mend.yaml:1:9: "),
         ("mend", "reward: {a: 1\n", "mend.yaml cannot be read: mend.yaml:"),
         ("mend", "reward: {a: *b}\n", "mend.yaml cannot be read: mend.yaml:"),
         ("mend", "# " + "x" * (2 << 20), "the file is larger than 1 MiB"),
@@ -296,7 +301,7 @@ def test_a_zip_that_cannot_be_marked(
     path = archive(tmp_path / "ada.zip", members)
     (tmp_path / "into").mkdir()
     with pytest.raises(HandInError) as error:
-        collect(path, "ada", tmp_path / "into", lesson)
+        collect(path, tmp_path / "into", lesson)
     assert reason in str(error.value)
 
 
@@ -309,9 +314,9 @@ def test_a_zip_with_a_folder_around_and_a_link(lesson: Lesson, tmp_path: Path) -
     }
     path = archive(tmp_path / "ada.zip", members, link="ada/sense.yaml")
     (tmp_path / "into").mkdir()
-    hand_in = collect(path, "ada", tmp_path / "into", lesson)
-    assert sorted(file.name for file in hand_in.folder.iterdir()) == ["mend.yaml", "run.py"]
-    assert hand_in.remarks[:2] == (
+    files, remarks = collect(path, tmp_path / "into", lesson)
+    assert sorted(file.name for file in files.iterdir()) == ["mend.yaml", "run.py"]
+    assert remarks[:2] == (
         "sense.yaml is a symbolic link, which is not followed",
         "run.py: programs are not run, so they have no effect",
     )
@@ -326,12 +331,13 @@ def test_a_damaged_zip_is_refused_or_opened(
     (folder / "ada.zip").write_bytes(data + whole[len(data) :])
     (folder / "into").mkdir()
     with suppress(HandInError):
-        assert collect(folder / "ada.zip", "ada", folder / "into", lesson).folder == folder / "into"
+        assert collect(folder / "ada.zip", folder / "into", lesson)[0] == folder / "into"
 
 
 def test_students_are_named_by_their_files(lesson: Lesson, tmp_path: Path) -> None:
     handed_in = tmp_path / "handed_in"
     put(handed_in / "ada", mend=STEP % "1")
+    (handed_in / "lea").symlink_to(handed_in / "ada")
     archive(handed_in / "ada.zip", {})
     archive(handed_in / "José ß.zip", {})
     (handed_in / ".DS_Store").touch()
@@ -340,6 +346,7 @@ def test_students_are_named_by_their_files(lesson: Lesson, tmp_path: Path) -> No
         "José ß",
         "ada",
         "ada (2)",
+        "lea",
         "notes.txt",
     ]
     assert [name for name, _ in hand_ins_of(lesson, [handed_in / "ada"])] == ["ada"]
@@ -375,8 +382,35 @@ def test_a_step_that_a_busy_machine_did_not_mark_is_no_zero(slow: Lesson) -> Non
     assert "not marked: no CPU time for 0 s" in as_page(slow, marks, 0)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="there is no such limit")
+def test_a_disk_that_is_full_leaves_steps_unmarked_and_no_zeros(lesson: Lesson) -> None:
+    (marks,) = grade(lesson, [("ada", lesson.folder / "solution")], limits=Limits(disk=0))
+    assert [step.score for step in marks.steps] == ["not marked", "not marked", "2 of 2"]
+    assert marks.all_remarks[0].startswith("mend: not marked: [Errno 27] File too large")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
-def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(slow: Lesson, tmp_path: Path) -> None:
+def test_a_process_that_another_program_ends_leaves_its_step_unmarked(
+    slow: Lesson, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def ended(*arguments: str, **options: Any) -> Process:
+        process = Process(*arguments, **options)
+        threading.Timer(0.5, os.kill, (process.pid, signal.SIGTERM)).start()
+        return process
+
+    monkeypatch.setattr(grading, "Process", ended)
+    (marks,) = grade(slow, [("ada", slow.folder / "solution")])
+    assert marks.is_open
+    assert marks.all_remarks[0] == "mend: not marked: its process was ended (SIGTERM); mark it again"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
+@pytest.mark.parametrize(
+    "number", few([signal.SIGINT, signal.SIGTERM], ["SIGTERM"], lambda number: number.name)
+)
+def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(
+    slow: Lesson, tmp_path: Path, number: signal.Signals
+) -> None:
     handed_in = tmp_path / "handed_in"
     put(handed_in / "ada", answers="length: 0.35 m\nfair: no\n")
     shutil.copytree(slow.folder / "solution", handed_in / "bob")
@@ -397,12 +431,36 @@ def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(slow: Les
             break
         time.sleep(0.2)
     assert table.read_text().splitlines()[1].startswith("ada,2,10,")
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "interrupted: 1 of 2 hand-ins are marked" in err
     assert "not marked" in next(line for line in out.splitlines() if "bob" in line)
     assert [line[:4] for line in table.read_text().splitlines()[1:]] == ["ada,", "bob,"]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="only Linux lists the children of a process")
+def test_a_grader_that_is_killed_leaves_no_process(slow: Lesson, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        python_command("deepbots_cli", "grade", str(slow.folder), str(slow.folder / "solution")),
+        env=python_environment({"TMPDIR": str(tmp_path)}),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    started: list[str] = []
+    for _ in range(600):
+        tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
+        if started := " ".join(task.read_text() for task in tasks).split():
+            break
+        time.sleep(0.2)
+    process.kill()
+    process.wait()
+    for _ in range(100):
+        if not any(Path("/proc", number).is_dir() for number in started):
+            break
+        time.sleep(0.2)
+    assert started
+    assert not any(Path("/proc", number).is_dir() for number in started)
 
 
 def given_marks(
@@ -648,10 +706,60 @@ def test_a_lesson_that_is_none_is_refused_with_its_mistake(tmp_path: Path) -> No
         assert reason in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("file", "old", "new", "reason"),
+    [
+        (
+            "lesson",
+            "title: Small",
+            "title: Small\ntitle: Large",
+            "lesson.yaml:3:1: the key `title` is given twice",
+        ),
+        ("checks/mend", "tests:", "tests: [", "checks/mend.yaml:"),
+        (
+            "checks/sense",
+            "sees:",
+            "seen:",
+            "checks/sense.yaml has no test `sees`, which the step `sense` checks",
+        ),
+    ],
+)
+def test_a_slip_of_a_teacher_is_named_with_its_file(
+    lesson: Lesson, tmp_path: Path, file: str, old: str, new: str, reason: str
+) -> None:
+    shutil.copytree(lesson.folder, tmp_path / "lesson")
+    path = tmp_path / "lesson" / f"{file}.yaml"
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(UsageError) as error:
+        read_lesson(tmp_path / "lesson")
+    assert reason in str(error.value)
+
+
+def test_a_part_that_is_a_value_replaces_that_of_the_task(lesson: Lesson, tmp_path: Path) -> None:
+    own = tmp_path / "lesson"
+    shutil.copytree(lesson.folder, own)
+    put(own, lesson=LESSON.replace("[reward, augment]", "[world.timestep, reward]"))
+    step = STEP % "1" + "\nworld:\n  timestep: %s\n"
+    put(own / "start", mend=step % "20 ms")
+    test = "pays: {actions: [forward], expect: {eventually: abs(time - 10 ms) < 1 ms}}"
+    put(own / "checks", mend=re.sub("pays: .*", test, task(reward="{include: handed_in/reward.yaml}")))
+    marks = {}
+    for value in ("10 ms", "30 ms", "10 m", "[10 ms]"):
+        put(tmp_path / value, mend=step % value)
+        marks[value] = Marker(read_lesson(own), tmp_path / value, tmp_path / f"{value} work").mark("mend")
+    assert {value: mark.points for value, mark in marks.items()} == {
+        "10 ms": 3,
+        "30 ms": 0,
+        "10 m": 0,
+        "[10 ms]": 0,
+    }
+    assert marks["10 m"].checks[0].reason.startswith("mend.yaml:9:13: `timestep` must be a duration")
+
+
 def test_a_lesson_is_started_checked_and_hinted_at(
     deepbots: Deepbots, tmp_path: Path, lesson: Lesson
 ) -> None:
-    own = tmp_path / "own"
+    own = tmp_path / "my own"
     deepbots("course", "start", lesson.folder, own)
     deepbots("course", "start", lesson.folder, tmp_path / "solved", "--with", "solution")
     assert (tmp_path / "solved" / "mend.yaml").read_text() == STEP % "1"
@@ -661,8 +769,11 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     checked = deepbots("course", "check", own, code=1)
     assert "lesson 1 Small: 4 of 7 points" in checked.out
     assert "`maybe` is not right (answers.yaml:2:7)" in checked.out
+    assert f"deepbots course hint '{own}' --step " in checked.err
     hints = [deepbots("course", "hint", own, "--step", "mend").out.split()[-1] for _ in range(3)]
     assert hints == ["first", "second", "second"]
+    assert json.loads(deepbots("course", "hint", own, "--step", "mend", "--json").out)["number"] == 2
+    assert "--step does not go with check" in deepbots("course", "check", own, "--step", "mend", code=2).err
     assert json.loads((own / "course.json").read_text())["points"] == 4
 
 
@@ -676,6 +787,12 @@ def test_a_shipped_lesson_is_proven(number: int) -> None:
 
 def test_a_guard_beside_nothing_but_a_policy_is_not_expected_without_trainings() -> None:
     assert points_of_policies(lesson_named("reward")) == 5
+
+
+def test_a_reward_for_staying_away_from_the_ball_loses_points(tmp_path: Path) -> None:
+    put(tmp_path / "own", invent="reward: {found: 5 when found, near: 1 - apart / m}\n")
+    mark = Marker(lesson_named("reward"), tmp_path / "own", tmp_path / "work").mark("invent")
+    assert mark.checks[0].reason.startswith("invent.yaml:1:37: an episode that avoids `found` can collect")
 
 
 def test_a_lesson_to_change_is_the_third(deepbots: Deepbots, tmp_path: Path) -> None:

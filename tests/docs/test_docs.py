@@ -700,7 +700,7 @@ PAGES = [
     *sorted((ROOT / "course").glob("*/text.md")),
 ]
 
-BUILT = ("reference/", "../reference/", "benchmark.md")
+BUILT = ("reference/", "../reference/", "benchmark.md", "course.md")
 """Pages that only the site has, whose test follows links to them. The first page links to none of them."""
 TOPICS = "(?:cart|supervisor|deepbots)/"  # of ROS 2, in docs/ros.md
 FORBIDDEN = re.compile(

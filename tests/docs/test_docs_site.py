@@ -151,9 +151,10 @@ def test_every_picture_that_is_drawn_by_code_is_current_and_on_a_page(
 ) -> None:
     drawn: dict[str, str] = import_module("build_figures").figures()
     assert [
-        name for name, text in drawn.items() if (DOCS / "images" / name).read_text(encoding="utf-8") != text
+        name for name, text in drawn.items() if (site.ROOT / name).read_text(encoding="utf-8") != text
     ] == []
-    assert [name for name in drawn if not any(f"images/{name})" in page for page in pages.values())] == []
+    places = [f"{site.place_of(name)})" for name in drawn]
+    assert [place for place in places if not any(place in page for page in pages.values())] == []
 
 
 def test_machines_find_pages_findings_and_the_schema(site: ModuleType, sources: Path, tmp_path: Path) -> None:

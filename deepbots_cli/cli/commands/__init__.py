@@ -168,6 +168,14 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
 """The options, by command and for all commands, that exclude others, and after a semicolon what they do."""
 TAKES: Mapping[str, Mapping[str, str]] = {
     "compare": {"agents that compete": "--episodes --seed --last --scenario"},
+    "course": {
+        "list": "--workers",
+        "start": "--with",
+        "check": "--workers",
+        "hint": "--step --workers",
+        "next": "--with",
+        "verify": "--no-train --workers",
+    },
     "diagnose": {
         "a training": "--only-logs --agent",
         "an episode": "--episode --seed --last --agent",

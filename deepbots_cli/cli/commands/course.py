@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from datetime import date
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +15,17 @@ import typer
 from deepbots_cli import __version__
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import available_cores
-from deepbots_cli.cli.command import ADVANCED, MAX_SEED, OUTPUT, Force, Json, Workers, integer, option
+from deepbots_cli.cli.command import (
+    ADVANCED,
+    MAX_SEED,
+    OUTPUT,
+    Force,
+    Json,
+    Workers,
+    check_options,
+    integer,
+    option,
+)
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
@@ -40,6 +51,7 @@ class Action(StrEnum):
 
 
 def command(
+    ctx: typer.Context,
     action: Annotated[
         Action, typer.Argument(metavar="[list|start|check|hint|next|verify]", help="What to do.")
     ] = Action.LIST,
@@ -72,19 +84,20 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Learn in ten lessons that mark themselves."""
+    check_options(ctx, action)
     match action:
         case Action.LIST:
             _list(Path(what or "."), as_json=as_json)
         case Action.START:
             if what is None:
                 raise UsageError("name a lesson, such as `deepbots course start 1`")
-            _start(what, folder, solution)
+            _start(what, folder, solution, as_json=as_json)
         case Action.CHECK:
             _check(Path(what or "."), workers or 1, as_json=as_json)
         case Action.HINT:
-            _hint(Path(what or "."), step)
+            _hint(Path(what or "."), step, as_json=as_json)
         case Action.NEXT:
-            _next(Path(what or "."), folder)
+            _next(Path(what or "."), folder, solution, as_json=as_json)
         case Action.VERIFY:
             _verify(what or ".", workers or available_cores(), train=not quick, as_json=as_json)
 
@@ -101,7 +114,7 @@ def _list(folder: Path, *, as_json: bool) -> None:
         rows.append(
             {
                 "lesson": lesson.number,
-                "title": lesson.title,
+                "title": lesson.content.title,
                 "about": lesson.content.summary,
                 "minutes": lesson.content.minutes,
                 "points": "" if own is None else f"{own.points} of {lesson.points}",
@@ -110,7 +123,7 @@ def _list(folder: Path, *, as_json: bool) -> None:
         )
     current = next((row for row in rows if row["points"] and not _is_full(row)), None)
     following = next((row["lesson"] for row in rows if not row["points"]), 1)
-    command = f"check {current['folder']}" if current else f"start {following}"
+    command = f"check {quote(str(current['folder']))}" if current else f"start {following}"
     terminal.show(
         rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
     )
@@ -121,7 +134,7 @@ def _is_full(row: Row) -> bool:
     return points == of
 
 
-def _start(name: str, folder: Path | None, solution: str | None = None) -> None:
+def _start(name: str, folder: Path | None, solution: str | None, *, as_json: bool) -> None:
     from deepbots_cli.course.lessons import lesson_named
     from deepbots_cli.course.progress import start
 
@@ -132,11 +145,13 @@ def _start(name: str, folder: Path | None, solution: str | None = None) -> None:
         {"step": step_name, "points": step.points, "goal": step.goal}
         for step_name, step in lesson.steps.items()
     ]
-    terminal.print_result(
-        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n\n"
-        f"{table(rows, is_prose=True)}"
+    terminal.show(
+        {"lesson": lesson.name, "folder": folder, "steps": rows},
+        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n",
+        table(rows, is_prose=True),
+        as_json=as_json,
+        next_commands=[f"cd {quote(str(folder))}", "read README.md", "deepbots course check"],
     )
-    terminal.note(f"\nnext:\n  cd {quote(str(folder))}\n  read README.md\n  deepbots course check")
 
 
 def _opened(folder: Path) -> Started:
@@ -157,9 +172,12 @@ def _check(folder: Path, workers: int, *, as_json: bool) -> None:
     with terminal.transient_line("checking ..."):
         marks = started.check(workers)
     open_step = next((step for step in marks.steps if step.points < step.of), None)
-    following = "next" if open_step is None else f"hint --step {open_step.step}"
+    following = ["next"] if open_step is None else ["hint", "--step", open_step.step]
+    following[1:1] = [] if folder == Path() else [quote(str(folder))]
     lines = _lines(started.lesson(), marks)
-    terminal.show(marks.data(), *lines, as_json=as_json, next_commands=[f"deepbots course {following}"])
+    terminal.show(
+        marks.data(), *lines, as_json=as_json, next_commands=[f"deepbots course {' '.join(following)}"]
+    )
     if open_step is not None:
         raise typer.Exit(FAILED)
 
@@ -180,31 +198,33 @@ def _lines(lesson: Lesson, marks: Marks) -> list[str]:
     return lines
 
 
-def _hint(folder: Path, name: str | None) -> None:
+def _hint(folder: Path, name: str | None, *, as_json: bool) -> None:
     started = _opened(folder)
     if name is None:
         with terminal.transient_line("checking ..."):
             marks = started.check()
+        started = _opened(folder)  # with the points of the check
         name = next((step.step for step in marks.steps if step.points < step.of), None)
         if name is None:
-            terminal.print_result("all points are reached; go on with `deepbots course next`")
+            terminal.show({}, "all points are reached; go on with `deepbots course next`", as_json=as_json)
             return
     number, hint = started.next_hint(name)
     count = len(started.lesson().steps[name].hints)
     more = "" if number == count else "; the next call leads further"
-    terminal.print_result(f"{name}, hint {number} of {count}{more}\n\n  {hint}")
+    data = {"step": name, "number": number, "of": count, "hint": hint}
+    terminal.show(data, f"{name}, hint {number} of {count}{more}\n\n  {hint}", as_json=as_json)
 
 
-def _next(folder: Path, into: Path | None) -> None:
+def _next(folder: Path, into: Path | None, solution: str | None, *, as_json: bool) -> None:
     from deepbots_cli.course.lessons import shipped_lessons
 
     lesson = _opened(folder).lesson()
     following = next((other for other in shipped_lessons() if other.number == lesson.number + 1), None)
     if following is None or not lesson.number:
-        terminal.print_result("this was the last lesson; `deepbots course` lists all")
+        terminal.show({}, "this was the last lesson; `deepbots course` lists all", as_json=as_json)
         return
     name = f"lesson-{following.number}-{following.name}"
-    _start(str(following.number), into or folder.resolve().parent / name)
+    _start(str(following.number), into or folder.resolve().parent / name, solution, as_json=as_json)
 
 
 def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
@@ -310,7 +330,8 @@ def command_grade(
         def keep(marks: Marks, done: int) -> None:
             show(done, len(students))
             finished.append(marks)
-            save(finished)
+            with suppress(UsageError):  # a full disk, which the last save reports
+                save(finished)
 
         try:
             marks = grade(
