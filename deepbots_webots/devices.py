@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deepbots_webots.imaging import Camera, Lidar, Radar, RangeFinder
+from deepbots_webots.imaging import Camera, Lidar, RangeFinder
 from deepbots_webots.nodes import integer, number, numbers
 from deepbots_webots.scene import Device as Spec
 from deepbots_webots.sensors import (
@@ -379,6 +379,10 @@ class Radio(Device):
     """A radio: no function of it is implemented."""
 
 
+class Radar(Device):
+    """A radar: no function of it is implemented."""
+
+
 class Joystick(Unimplemented):
     """A joystick."""
 
@@ -393,6 +397,10 @@ class Mouse(Unimplemented):
 
 class MouseState(Unimplemented):
     """Where the mouse of a person is."""
+
+
+class RadarTarget(Unimplemented):
+    """A solid that a radar sees."""
 
 
 class Proto(Unimplemented):

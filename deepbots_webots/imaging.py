@@ -1,4 +1,4 @@
-"""Cameras, range finders, lidars and radars, as the module `controller` has them."""
+"""Cameras, range finders and lidars, as the module `controller` has them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from deepbots_cli import frames
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.records import dataclass
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
+from deepbots_cli.robots.kinematics import bounds_of_shape
 from deepbots_webots.nodes import axis_angle, boolean, child, integer, number, numbers, real, text, walk
 from deepbots_webots.scene import AXES
 from deepbots_webots.scene import Device as Spec
@@ -25,23 +25,12 @@ from deepbots_webots.sensors import (
     returns_list,
     returns_number,
 )
-from deepbots_webots.shapes import Mesh, Shape, compose, inverse, visible_shape
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose, inverse, visible_shape
 from deepbots_webots.simulation import Simulation
 from deepbots_webots.syntax import Node
 from deepbots_webots.tree import number_of
 
 Floats = NDArray[np.float64]
-
-
-class _Sees(Sensor):
-    """A device that looks for solids."""
-
-    def _is_hidden(self, offset: Triple, parts: set[Node]) -> bool:
-        """Return whether something else than these solids is before a point, at an offset in the world."""
-        distance, physics = math.hypot(*offset), self._simulation.physics
-        unit = frames.scaled(offset, 1 / distance)
-        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
-        return geom >= 0 and physics.geoms[geom][1].owner not in parts
 
 
 class _HasRange(Sensor):
@@ -200,7 +189,7 @@ class CameraRecognitionObject:
     getNumberOfColors, getColors = returns("number_of_colors"), returns("colors")
 
 
-class _Recognition(_Sees):
+class _Recognition(Sensor):
     """The solids with `recognitionColors` that a camera sees."""
 
     def __init__(self, simulation: Simulation, spec: Spec, camera: Camera) -> None:
@@ -259,6 +248,13 @@ class _Recognition(_Sees):
             model=text(solid, "model"),
         )
 
+    def _is_hidden(self, offset: Triple, parts: set[Node]) -> bool:
+        """Return whether something else than these solids is before a point, at an offset in the world."""
+        distance, physics = math.hypot(*offset), self._simulation.physics
+        unit = frames.scaled(offset, 1 / distance)
+        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
+        return geom >= 0 and physics.geoms[geom][1].owner not in parts
+
     def _outline(self, parts: set[Node]) -> list[tuple[Shape, Frame]]:
         """Return the bounding objects of nodes with their frames in the world; without any, what is seen."""
         scene, physics = self._simulation.scene, self._simulation.physics
@@ -285,21 +281,15 @@ class _Recognition(_Sees):
 
 def _span(shape: Shape, frame: Frame) -> tuple[Floats, Floats]:
     """Return the lowest and the highest coordinates of a shape in a frame; the origin of one without end."""
-    axes = np.array([frames.rotate(frame[1], axis) for axis in AXES]).T
-    middle, along, half = np.array(frame[0]), np.abs(axes[:, 2]), np.zeros(3)
     match shape:
         case Mesh(vertices):
-            points = middle + vertices @ axes.T
+            axes = np.array([frames.rotate(frame[1], axis) for axis in AXES])
+            points = vertices @ axes + frame[0]
             return points.min(axis=0), points.max(axis=0)
-        case Box(size):
-            half = np.abs(axes) @ np.array(size) / 2
-        case Sphere(radius):
-            half += radius
-        case Capsule(radius, length):
-            half = along * length / 2 + radius
-        case Cylinder(radius, length):
-            half = along * length / 2 + radius * np.sqrt(np.maximum(0.0, 1 - along**2))
-    return middle - half, middle + half
+        case Plane() | Grid():
+            return np.array(frame[0]), np.array(frame[0])
+    low, high = bounds_of_shape(shape, frame)
+    return np.array(low), np.array(high)
 
 
 class RangeFinder(_Optics, _HasRange):
@@ -344,7 +334,7 @@ class RangeFinder(_Optics, _HasRange):
         return self._save(gray.astype(np.uint8), filename, quality)
 
 
-# Lidars and radars
+# Lidars
 
 
 class LidarPoint(NamedTuple):
@@ -488,134 +478,3 @@ class Lidar(_HasRange):
 
     getMinFrequency = returns_number("minFrequency")
     getMaxFrequency = returns_number("maxFrequency")
-
-
-LIGHT_SPEED = 299_792_458.0
-"""In m/s."""
-
-
-@dataclass
-class RadarTarget:
-    """The measurement of a solid by a radar: the distance (m), the power that came back (dBm), the radial
-    speed (m/s, positive for one that moves away), and the azimuth (rad, positive to the right)."""
-
-    distance: float
-    received_power: float
-    speed: float
-    azimuth: float
-
-
-class Radar(_Sees, _HasRange):
-    """Solids with a `radarCrossSection` within the range and the field of view."""
-
-    def __init__(self, simulation: Simulation, spec: Spec) -> None:
-        super().__init__(simulation, spec)
-        self._targets: list[RadarTarget] = []
-        node = spec.node
-        sent = _milliwatts(number(node, "transmittedPower"))
-        gain = 10 ** (number(node, "antennaGain") / 10)
-        frequency = number(node, "frequency") * 1e9
-        wavelength = LIGHT_SPEED / frequency if frequency > 0 else 0.0
-        # The radar equation: P = Pt G^2 lambda^2 sigma / ((4 pi)^3 R^4).
-        self._power = sent * gain**2 * wavelength**2 / (4 * math.pi) ** 3
-        """The power (mW) that a cross section of 1 m^2 reflects from 1 m."""
-
-    getHorizontalFov = returns_number("horizontalFieldOfView")
-    getVerticalFov = returns_number("verticalFieldOfView")
-
-    def getNumberOfTargets(self) -> int:
-        return len(self._targets)
-
-    getTargets = returns_list("_targets")
-
-    def forget(self) -> None:
-        self._targets = []
-
-    def sample(self) -> None:
-        candidates = [self._target(solid) for solid in self._simulation.scene.radar_targets]
-        targets = self._merged([target for target in candidates if target is not None])
-        for target in targets:
-            target.received_power = 10 * math.log10(target.received_power)
-        self._targets = targets
-
-    def _target(self, solid: Node) -> RadarTarget | None:
-        """Return the measurement of a solid, with the power in mW; None if the radar does not see it.
-
-        The radar sees a solid if a part of the ball around its bounding object is within the range and the
-        field of view. The measurement is that of the origin of the solid, limited to the range and the field
-        of view.
-        """
-        node, physics = self._spec.node, self._simulation.physics
-        if solid is node:
-            return None
-        position, rotation = self._frame()
-        body, frame_in_body = self._simulation.scene.attachments[solid]
-        offset = frames.subtract(physics.position(body, frame_in_body), position)
-        distance, radius = math.hypot(*offset), physics.radius(solid)
-        near, far = self.getMinRange(), self.getMaxRange()
-        if distance == 0 or distance - radius > far or distance + radius < near:
-            return None
-        x, y, z = frames.rotate_back(rotation, offset)
-        azimuth, elevation = -math.atan2(y, x), math.atan2(z, math.hypot(x, y))
-        # Half the angle under which the ball appears.
-        share = math.asin(min(1.0, radius / distance))
-        half = self.getHorizontalFov() / 2
-        if abs(azimuth) > half + share or abs(elevation) > self.getVerticalFov() / 2 + share:
-            return None
-        if boolean(node, "occlusion") and self._is_hidden(offset, {solid}):
-            return None
-        measured = distance + self._noise(number(node, "rangeNoise"))
-        measured = min(max(measured, near), far)
-        power = self._power * number(solid, "radarCrossSection") / max(measured, 1e-9) ** 4
-        if power <= 0 or power < _milliwatts(number(node, "minDetectableSignal")):
-            return None
-        velocity, target_velocity = (
-            physics.velocity(*at)[0] for at in ((self._spec.body, self._spec.frame), (body, frame_in_body))
-        )
-        speed = frames.dot(frames.subtract(target_velocity, velocity), offset) / distance + self._noise(
-            number(node, "speedNoise")
-        )
-        if not self._sees_speed(speed):
-            return None
-        azimuth = min(max(azimuth, -half), half) + self._noise(number(node, "angularNoise"))
-        return RadarTarget(measured, power, speed, azimuth)
-
-    def _sees_speed(self, speed: float) -> bool:
-        node = self._spec.node
-        low, high = number(node, "minRadialSpeed"), number(node, "maxRadialSpeed")
-        if (low or high) and not low <= speed <= high:
-            return False
-        return abs(speed) >= number(node, "minAbsoluteRadialSpeed")
-
-    def _merged(self, targets: list[RadarTarget]) -> list[RadarTarget]:
-        """Merge targets that the radar cannot tell apart: into their means, weighted by power."""
-        node = self._spec.node
-        cell, cell_speed = number(node, "cellDistance"), number(node, "cellSpeed")
-        if cell <= 0:
-            return targets
-        merged: list[RadarTarget] = []
-        while targets:
-            first, *others = targets
-            same = [
-                other
-                for other in others
-                if abs(other.distance - first.distance) < cell
-                and (cell_speed <= 0 or abs(other.speed - first.speed) < cell_speed)
-            ]
-            targets = [other for other in others if other not in same]
-            merged.append(_mean([first, *same]))
-        return merged
-
-
-def _mean(targets: list[RadarTarget]) -> RadarTarget:
-    powers = [target.received_power for target in targets]
-    total = sum(powers)
-    distance, speed, azimuth = (
-        sum(getattr(target, name) * power for target, power in zip(targets, powers, strict=True)) / total
-        for name in ("distance", "speed", "azimuth")
-    )
-    return RadarTarget(distance, total, speed, azimuth)
-
-
-def _milliwatts(dbm: float) -> float:
-    return float(10 ** (dbm / 10))

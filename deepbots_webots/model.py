@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,11 @@ from numpy.typing import NDArray
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco import sliding
-from deepbots_cli.frames import Frame
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
+from deepbots_cli.frames import Frame, rotate_tensor, rotation_matrix
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Sphere, combined
 from deepbots_webots.nodes import boolean
-from deepbots_webots.scene import AXES, ORIGIN, Body, Contact, Geometry, Inertia, Joint, Scene
-from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose
+from deepbots_webots.scene import Body, Contact, Geometry, Joint, Scene
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose, inertial_of
 
 Floats = NDArray[np.float64]
 
@@ -28,8 +27,8 @@ wall with its 10 N m sinks 2 cm into it."""
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """The impedance of motors, with which a motor exerts all of its force. MuJoCo's default leaves 10 % of an
 error."""
-KINEMATIC_MASS, KINEMATIC_INERTIA = 1e-3, 1e-6
-"""The mass (kg) and moments (kg m^2) of a solid without physics at the end of a joint."""
+KINEMATIC = Inertial(1e-3, ixx=1e-6, iyy=1e-6, izz=1e-6)
+"""The inertia of a solid without physics at the end of a joint."""
 GRID_DEPTH_M = 1.0
 
 
@@ -64,6 +63,7 @@ class ModelBuilder:
             self._add_body(body)
         self._add_exclusions()
         self._add_pairs()
+        self._add_loops()
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
@@ -76,11 +76,14 @@ class ModelBuilder:
             self.joints[joint] = self._add_joint(element, joint, f"b{body.index}.{at}")
         for geometry in body.geometries:
             self._add_geometry(element, body, geometry)
-        has_weight = any(geometry.mass for geometry in body.geometries)
-        if body.inertias and not has_weight:
-            _set_inertia(element, body.inertias)
-        elif (body.joints or body.is_free) and not has_weight:
-            _set_inertia(element, [Inertia(KINEMATIC_MASS, ORIGIN, (KINEMATIC_INERTIA,) * 3 + (0.0,) * 3)])
+        weights = [geometry for geometry in body.geometries if geometry.mass]
+        if body.inertias:
+            # One inertia for all: fixed bodies for those that are stated would make contacts softer, the
+            # farther from the origin of the world a body is.
+            own = [inertial_of(geometry.shape, geometry.mass, geometry.frame) for geometry in weights]
+            _set_inertia(element, combined([*own, *body.inertias]))
+        elif (body.joints or body.is_free) and not weights:
+            _set_inertia(element, KINEMATIC)
             element.gravcomp = 1.0  # a solid without physics has no weight in Webots
 
     def _add_joint(self, element: Any, joint: Joint, name: str) -> Any:
@@ -123,24 +126,6 @@ class ModelBuilder:
         Raises:
             ValueError: MuJoCo refuses the world.
         """
-        model = self.spec.compile()
-        mixed = [
-            body
-            for body in self.scene.bodies
-            if body.inertias and any(geometry.mass for geometry in body.geometries)
-        ]
-        if not mixed:
-            return model
-        # The model has the inertia of their geometries alone so far. Fixed bodies for the stated ones would
-        # make contacts softer, the farther from the origin of the world a body is.
-        for body in mixed:
-            element = self.bodies[body.index]
-            number = element.id
-            w, x, y, z = model.body_iquat[number].tolist()
-            frame = tuple(model.body_ipos[number].tolist()), (x, y, z, w)
-            matrix = (*model.body_inertia[number].tolist(), 0.0, 0.0, 0.0)
-            own = Inertia(float(model.body_mass[number]), frame, matrix)
-            _set_inertia(element, [own, *body.inertias])
         return self.spec.compile()
 
     def geometries_by_id(self) -> list[tuple[Body, Geometry]]:
@@ -190,6 +175,18 @@ class ModelBuilder:
             solref=[self.contact_time, 1.0],
             solimp=CONTACT_IMPEDANCE,
         )
+
+    def _add_loops(self) -> None:
+        for loop in self.scene.loops:
+            self.spec.add_equality(
+                type=mj.mjtEq.mjEQ_WELD,
+                objtype=mj.mjtObj.mjOBJ_BODY,
+                name1=f"b{loop.end.index}",
+                name2="world" if loop.other is None else f"b{loop.other.index}",
+                data=[*[0.0] * 10, 1.0, 0.0],  # in their pose at the start; torques count as forces at 1 m
+                solref=[self.contact_time, 1.0],
+                solimp=MOTOR_IMPEDANCE,  # that of contacts lets a rod of 1 m sag by 2 mm
+            )
 
 
 def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bool = False) -> dict[str, Any]:
@@ -241,21 +238,12 @@ def _add_grid(spec: Any, grid: Grid, name: str) -> None:
     )
 
 
-def _set_inertia(element: Any, parts: Sequence[Inertia]) -> None:
-    """Give a body the mass and inertia of all of these parts."""
-    masses = np.array([part.mass for part in parts])
-    centers = np.array([part.frame[0] for part in parts])
-    center = masses @ centers / masses.sum()
-    total = np.zeros((3, 3))
-    for part, arm in zip(parts, centers - center, strict=True):
-        xx, yy, zz, xy, xz, yz = part.matrix
-        axes = np.array([frames.rotate(part.frame[1], axis) for axis in AXES]).T
-        total += axes @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ axes.T
-        total += part.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+def _set_inertia(element: Any, inertial: Inertial) -> None:
+    """Give a body a mass and an inertia."""
+    tensor = np.array(rotate_tensor(inertial.matrix, rotation_matrix(inertial.origin.rpy)))
     element.explicitinertial = 1
-    element.mass = masses.sum()
-    element.ipos = center
-    element.fullinertia = total[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+    element.mass, element.ipos = inertial.mass, inertial.origin.xyz
+    element.fullinertia = tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 
 def _may_touch(first: Body, second: Body) -> bool:

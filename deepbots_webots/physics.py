@@ -122,7 +122,7 @@ class MotorState:
     """
 
     joint: Joint
-    dof: int
+    dof: int  # -1 for the motor of a propeller
     position_address: int
     max_velocity: float
     max_torque: float
@@ -135,6 +135,8 @@ class MotorState:
     velocity: float = 0.0
     integral: float = 0.0
     last_error: float = 0.0
+    turned: float = 0.0
+    """The position of a propeller."""
 
     def reset(self, position: float) -> None:
         """Set the state in which Webots starts a motor: it keeps its position."""
@@ -164,19 +166,26 @@ class Motors:
     """The motors of a world, by node. Those without a torque control and with a torque are active."""
 
     def __init__(
-        self, model: Any, data: Any, joint_ids: Mapping[Joint, int], states: Mapping[Node, MotorState]
+        self, model: Any, data: Any, joint_ids: Mapping[Joint, int | None], states: Mapping[Node, MotorState]
     ) -> None:
-        """Find the motors of a model; those that have a state keep it."""
+        """Find the motors of a model, among them those of propellers, whose joints have no number; those that
+        have a state keep it."""
         self._model, self._data = model, data
         self._states: dict[Node, MotorState] = {}
         for joint, index in joint_ids.items():
             node = joint.motor
             if node is None:
                 continue
-            motor = self._states[node] = states.get(node) or MotorState(joint, 0, 0, *_limits(node))
-            motor.dof, motor.position_address = int(model.jnt_dofadr[index]), int(model.jnt_qposadr[index])
+            motor = self._states[node] = states.get(node) or MotorState(joint, -1, -1, *_limits(node))
+            if index is not None:
+                motor.dof, motor.position_address = (
+                    int(model.jnt_dofadr[index]),
+                    int(model.jnt_qposadr[index]),
+                )
             if node not in states:
                 motor.reset(joint.position)
+        in_joints = (motor for motor in self._states.values() if motor.dof >= 0)
+        self._in_joints = sorted(in_joints, key=lambda motor: motor.dof)
         self._active: list[MotorState] = []
 
     def __getitem__(self, node: Node) -> MotorState:
@@ -202,12 +211,12 @@ class Motors:
     def reset(self) -> None:
         """Let all motors keep the present positions of their joints."""
         for motor in self._states.values():
-            motor.reset(float(self._data.qpos[motor.position_address]))
+            motor.reset(motor.turned if motor.dof < 0 else float(self._data.qpos[motor.position_address]))
         self.renew()
 
     def stop(self) -> None:
         """Set velocities to 0, and the torques of motors under torque control."""
-        for motor in self._states.values():
+        for motor in self._in_joints:
             motor.velocity = 0.0
             if motor.torque is not None:
                 self._data.qfrc_applied[motor.dof] = 0.0
@@ -216,7 +225,7 @@ class Motors:
     def renew(self) -> None:
         """Apply limits and modes after a change."""
         self._active = []
-        for motor in sorted(self._states.values(), key=lambda motor: motor.dof):
+        for motor in self._in_joints:
             is_active = motor.torque is None and motor.available_torque > 0
             limit = motor.available_torque if is_active else motor.joint.friction
             self._model.dof_frictionloss[motor.dof] = limit
@@ -234,6 +243,13 @@ class Motors:
         return np.array(
             [motor.next_velocity(float(positions[motor.position_address]), step) for motor in self._active]
         )
+
+    def turn(self, node: Node, step: float) -> float:
+        """Turn a propeller for a basic time step of `step` s; return its velocity, rad/s. No load slows it."""
+        motor = self._states[node]
+        velocity = motor.next_velocity(motor.turned, step)
+        motor.turned += velocity * step
+        return velocity
 
     def drive(self, targets: Floats, time: float) -> None:
         """Let the active motors reach their target velocities in `time` s. The rows of constraints exist
@@ -315,7 +331,8 @@ class Physics:
         self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
         self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
         self._damped = _damped_bodies(scene)
-        self.motors = Motors(model, self.data, self._joint_ids, motors)
+        shafts = dict.fromkeys(propeller.joint for propeller in scene.propellers)
+        self.motors = Motors(model, self.data, {**self._joint_ids, **shafts}, motors)
         self.rays = Rays(model, self.data, [body for body, _ in self.geoms], self.update_positions)
         self._has_positions = self._has_velocities = False
         self._start = self._state_at_begin()
@@ -391,6 +408,7 @@ class Physics:
         # Between both halves, motors and bounces set rows of constraints, before the solver runs.
         step1, step2 = mj.mj_step1, mj.mj_step2
         bounces = self._bounces.is_needed
+        self._turn_propellers(self.substep * count)
         targets = self.motors.target_velocities(self.substep * count)
         for left in range(count, 0, -1):
             step1(model, data)
@@ -401,9 +419,31 @@ class Physics:
             if self._damped:
                 self._damp()
             step2(model, data)
+        # MuJoCo keeps applied forces, while those of supervisors and propellers act for one basic time step.
+        data.xfrc_applied[:] = 0.0
         self._has_positions = self._has_velocities = False
         if not np.isfinite(data.qvel).all():
             raise FloatingPointError("the simulation is not finite any more")
+
+    def _turn_propellers(self, seconds: float) -> None:
+        """Let propellers push their bodies for a basic time step. Along the shaft, thrust (N) and torque (N m)
+        are a |w| w - b |w| v, where w is the velocity of the shaft (rad/s) and v that of its center (m/s)."""
+        for body, joint in self.scene.propellers:
+            if joint.node is None or joint.motor is None:
+                continue
+            speed, center = self.motors.turn(joint.motor, seconds), (joint.anchor, frames.IDENTITY_ROTATION)
+            point, rotation = self.frame(body, center)
+            shaft = frames.rotate(rotation, joint.axis)
+            along = frames.dot(self.velocity(body, center)[0], shaft)
+            thrust, torque = (
+                abs(speed) * (first * speed - second * along)
+                for first, second in (
+                    numbers(joint.node, f"{kind}Constants") for kind in ("thrust", "torque")
+                )
+            )
+            limit = self.motors[joint.motor].max_torque
+            load = frames.scaled(shaft, -min(max(torque, -limit), limit))
+            self.push(body, frames.scaled(shaft, thrust), load, point)
 
     def _damp(self) -> None:
         """Slow bodies with a Damping node by its share per s."""
@@ -464,20 +504,6 @@ class Physics:
             return self.frame(body)[0]
         x, y, z = self.data.xipos[index].tolist()
         return x, y, z
-
-    def radius(self, owner: Node) -> float:
-        """Return the radius of the ball around the origin of a solid that has its bounding object, m; 0
-        without one."""
-        body, frame_in_body = self.scene.attachments[owner]
-        origin = np.array(self.position(body, frame_in_body))
-        geoms = [index for index, (_, geometry) in enumerate(self.geoms) if geometry.owner is owner]
-        return max(
-            (
-                float(np.linalg.norm(self.data.geom_xpos[index] - origin) + self.model.geom_rbound[index])
-                for index in geoms
-            ),
-            default=0.0,
-        )
 
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
@@ -552,10 +578,6 @@ class Physics:
             arm = frames.subtract(point, self.center_of_mass(body))
             torque = frames.add(torque, frames.cross(arm, force))
         self.data.xfrc_applied[self.bodies[body.index]] += (*force, *torque)
-
-    def end_pushes(self) -> None:
-        # MuJoCo keeps applied forces, while a force of a supervisor in Webots acts for one basic time step.
-        self.data.xfrc_applied[:] = 0.0
 
     def snapshot(self) -> State:
         # This state has the warm start of the solver too, without which a restored world goes on differently.

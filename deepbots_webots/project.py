@@ -22,6 +22,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from string import Template as Pattern
 from typing import TYPE_CHECKING, NamedTuple
@@ -107,24 +108,24 @@ class Files:
 
     def proto(self, name: str, address: str, writer: str) -> Path | None:
         """Return the file of a PROTO: at its address, below `protos/` of the project, or in a copy of Webots."""
-        candidates = [Path(writer).parent / address] if address and "://" not in address else []
         own = [path for path in self.project.glob("protos/**/*.proto") if path.stem == name]
-        candidates += sorted(own, key=lambda path: len(path.parts))
-        tail = address.rpartition(_LIBRARY_FOLDER)[2] if _LIBRARY_FOLDER in address else ""
-        for folder in self.library:
-            candidates += [folder / _LIBRARY_FOLDER / tail] if tail else []
-            candidates.append(folder / f"{name}.proto")
-        return next((path for path in candidates if is_file(path) and self.allows(path)), None)
+        in_library = [folder / f"{name}.proto" for folder in self.library]
+        return self._found(address, writer, sorted(own, key=lambda path: len(path.parts)), in_library)
 
     def picture(self, address: str, writer: str) -> Path | None:
         """Return the file of a picture: at its address beside the file that names it, in `worlds/` of the
         project, or in a copy of Webots."""
-        candidates = []
-        if "://" not in address:
-            candidates += [Path(writer).parent / address, self.project / "worlds" / address]
-        if _LIBRARY_FOLDER in address:
-            tail = address.rpartition(_LIBRARY_FOLDER)[2]
-            candidates += [folder / _LIBRARY_FOLDER / tail for folder in self.library]
+        own = [] if "://" in address else [self.project / "worlds" / address]
+        return self._found(address, writer, own, [])
+
+    def _found(
+        self, address: str, writer: str, own: Sequence[Path], in_library: Sequence[Path]
+    ) -> Path | None:
+        """Return the first file that may be read of these, and of those that an address of a file means."""
+        beside = [] if "://" in address or not address else [Path(writer).parent / address]
+        _, folder_name, tail = address.rpartition(_LIBRARY_FOLDER)
+        copies = [folder / _LIBRARY_FOLDER / tail for folder in self.library if folder_name]
+        candidates = (*beside, *own, *copies, *in_library)
         return next((path for path in candidates if is_file(path) and self.allows(path)), None)
 
 
@@ -337,7 +338,7 @@ def equivalent(name: str) -> Equivalent:
     alike = (texts[name] for texts in map(_alike, PATTERNS) if name in texts)
     text = next(alike, "") or (LIBRARY / f"{name}.proto").read_text("utf-8")
     head, body = text.split("\n] {\n")
-    interface = head.partition("[\n")[2]
+    interface = head.partition("[\n")[2].replace("  # robot.txt\n", _fields_of_robots())
     source = Source(f"{name}.proto", interface)
     return Equivalent(
         name,
@@ -355,7 +356,15 @@ def _templates() -> Environment:
 
     templates = Environment(undefined=StrictUndefined, autoescape=False)  # the files are worlds, not HTML
     templates.globals["pit_heights"] = pit_heights
+    names = re.findall(r"field \w+ (\w+)", _fields_of_robots())
+    templates.globals["robot"] = " ".join(f"{name} IS {name}" for name in names)
     return templates
+
+
+@cache
+def _fields_of_robots() -> str:
+    """Return the fields that all PROTOs of robots have, with their usual values."""
+    return (LIBRARY / "robot.txt").read_text("utf-8")
 
 
 def pit_heights(
@@ -363,23 +372,23 @@ def pit_heights(
 ) -> str:
     """Return the heights of a bowl as text: z * g * (1 - g) with a Gaussian g around the origin, 0 beyond
     three widths."""
-    x, y, z = size
     draw = random.Random(seed).gauss
-    along_x = [(column / (columns - 1) - 0.5) * x / radius for column in range(columns)]
-    along_y = [(row / (rows - 1) - 0.5) * y / radius for row in range(rows)]
+    squares = [
+        [((at / (count - 1) - 0.5) * side / radius) ** 2 for at in range(count)]
+        for count, side in ((columns, size[0]), (rows, size[1]))
+    ]
     heights = []
-    for sv in along_y:
-        for su in along_x:
-            bell = math.exp(-(su * su + sv * sv) / 2)
-            share = 1 - noise + noise * draw(0.0, _PIT_ROUGHNESS)
-            heights.append(z * bell * (1 - bell) * share if -3 < su < 3 and -3 < sv < 3 else 0.0)
+    for along_y, along_x in product(squares[1], squares[0]):
+        bell = math.exp(-(along_x + along_y) / 2)
+        share = 1 - noise + noise * draw(0.0, _PIT_ROUGHNESS)
+        heights.append(size[2] * bell * (1 - bell) * share if max(along_x, along_y) < 9 else 0.0)
     return " ".join([f"{height:.6g}" for height in heights])
 
 
 # The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1.
 _PIT_ROUGHNESS = 0.094
 LIBRARY = Path(__file__).parent / "library"
-PATTERNS = ("appearance", "outline", "pipe")
+PATTERNS = ("appearance", "arm", "crate", "lidar", "outline", "pipe")
 _MISSING = re.compile(r"field \w+ (\w+) .*# not implemented")
 
 

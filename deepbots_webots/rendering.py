@@ -30,9 +30,9 @@ from deepbots_cli.frames import Frame
 from deepbots_cli.robots.model import Box
 from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
 from deepbots_webots.model import geom_fields
-from deepbots_webots.nodes import number, parameters, real, rotation, text, turn_of, vector, walk
+from deepbots_webots.nodes import number, real, rotation, text, turn_of, vector
 from deepbots_webots.physics import Physics
-from deepbots_webots.scene import Visual
+from deepbots_webots.scene import Visual, solid_of_name
 from deepbots_webots.shapes import Grid, Plane, Shape, look_of, sky_color, visible_shape
 from deepbots_webots.simulation import Simulation
 from deepbots_webots.syntax import Node
@@ -250,7 +250,7 @@ class Viewpoint:
             self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
             orientation = frames.multiply(rotation(node, "orientation"), turn_of(node))
             self.frame = vector(node, "position"), orientation
-            self._followed = _solid(simulation, text(node, "follow"))
+            self._followed = solid_of_name(simulation.scene, text(node, "follow"))
         self._start_position = self._followed_position()
 
     def now(self) -> Frame:
@@ -265,19 +265,6 @@ class Viewpoint:
         if self._followed is None:
             return 0.0, 0.0, 0.0
         return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
-
-
-def _solid(simulation: Simulation, name: str) -> Node | None:
-    """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
-    solid_name = name.rpartition(":")[2]
-    for node in walk(simulation.scene.nodes):
-        if solid_name and node in simulation.scene.attachments and _name(node) == solid_name:
-            return node
-    return None
-
-
-def _name(node: Node) -> str:
-    return text(node, "name") if "name" in parameters(node) else ""
 
 
 def _overview() -> Frame:

@@ -11,7 +11,7 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, replace
 from math import hypot
 from typing import Literal, NamedTuple
@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli import frames
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
+from deepbots_cli.robots.model import Inertial, Pose, combined
 from deepbots_webots.nodes import (
     LOOKING_TURN,
     boolean,
@@ -36,7 +37,7 @@ from deepbots_webots.nodes import (
     walk,
 )
 from deepbots_webots.project import Files, World
-from deepbots_webots.shapes import Grid, Mesh, Shape, compose, shape_of, volume_of
+from deepbots_webots.shapes import Grid, Mesh, Shape, compose, inertial_of, pose_of, shape_of, volume_of
 from deepbots_webots.syntax import Node, WorldError, WorldFindings
 
 ORIGIN: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
@@ -102,15 +103,6 @@ class Visual:
     scale: Triple
 
 
-@dataclass(eq=False)
-class Inertia:
-    """The mass (kg) and inertia (kg m^2: xx, yy, zz, xy, xz, yz about the center) that a solid states."""
-
-    mass: float
-    frame: Frame
-    matrix: tuple[float, ...]
-
-
 JointKind = Literal["hinge", "slide", "ball"]
 
 
@@ -136,6 +128,21 @@ class Joint:
     index: int = 0
 
 
+class Propeller(NamedTuple):
+    """A propeller: its body, and its shaft, which is no joint of the body. `joint.anchor` is the center of
+    thrust."""
+
+    body: Body
+    joint: Joint
+
+
+class Loop(NamedTuple):
+    """A joint that closes a loop: the body at its end is a part of another one; None is the world."""
+
+    end: Body
+    other: Body | None
+
+
 @dataclass(eq=False)
 class Body:
     """A body: its frame in its parent, or in the world; its joints, geometries and stated inertias.
@@ -153,7 +160,7 @@ class Body:
     is_dynamic: bool = False
     joints: list[Joint] = field(default_factory=list)
     geometries: list[Geometry] = field(default_factory=list)
-    inertias: list[Inertia] = field(default_factory=list)
+    inertias: list[Inertial] = field(default_factory=list)
     damping: tuple[float, float] = (0.0, 0.0)
     velocity: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -207,10 +214,10 @@ class Scene:
     """The bodies, robots and settings of a world.
 
     `nodes` are the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
-    `gravity` in m/s^2. `directions` are those to the east, north and up. `attachments` maps each node with a
-    pose to its body and its frame in the body. `outer_frames` maps nodes with a pose outside of bodies to
-    their frame in the world.
-    `parents` maps each node to the node above it.
+    `gravity` in m/s^2, and `damping` is that of bodies without their own. `directions` are those to the east,
+    north and up. `attachments` maps each node with a pose to its body and its frame in the body, and
+    `outer_frames` nodes with a pose outside of bodies to their frame in the world. `parents` maps each node to
+    the node above it.
     """
 
     nodes: list[Node]
@@ -218,6 +225,7 @@ class Scene:
     basic_step: int = 32
     directions: tuple[Triple, ...] = AXES
     gravity: Triple = (0.0, 0.0, -9.81)
+    damping: tuple[float, float] = (0.0, 0.0)
     seed: int = 0
     bodies: list[Body] = field(default_factory=list)
     robots: list[Robot] = field(default_factory=list)
@@ -228,13 +236,25 @@ class Scene:
     parents: dict[Node, Node] = field(default_factory=dict)
     visuals: list[Visual] = field(default_factory=list)
     lights: list[Visual] = field(default_factory=list)
-    radar_targets: list[Node] = field(default_factory=list)  # the solids that radars see
+    propellers: list[Propeller] = field(default_factory=list)
+    loops: list[Loop] = field(default_factory=list)
 
     def contact(self, first: str, second: str) -> Contact:
         """Return how two materials touch."""
         return (
             self.contacts.get((first, second)) or self.contacts.get((second, first)) or self.contacts["", ""]
         )
+
+    def around(self, node: Node | None) -> tuple[Body | None, Frame]:
+        """Return the body and the frame there of a node, or of the nearest one above it that has a pose; the
+        frame of the world without a body."""
+        while node is not None:
+            if real(node) in self.attachments:
+                return self.attachments[real(node)]
+            if real(node) in self.outer_frames:
+                return None, self.outer_frames[real(node)]
+            node = self.parents.get(node)
+        return None, ORIGIN
 
 
 # The tree of a world as a scene
@@ -244,7 +264,7 @@ MAX_POINTS = 1_000_000
 """The maximum number of points of all bounding objects, each as often as it is used. A height counts as one,
 and a face as two."""
 UNIT: Triple = (1.0, 1.0, 1.0)
-_UNSUPPORTED = frozenset(["Track", "Propeller", "Charger", "Fluid"])
+_UNSUPPORTED = frozenset(["Track", "Charger", "Fluid"])
 _DEVICE_SLOTS = ("device", "device2", "device3")
 
 
@@ -262,7 +282,15 @@ def build_scene(world: World) -> Scene:
             builder.read_world_info(real(node))
     for node in world.nodes:
         builder.add(node, _Site(None, ORIGIN, UNIT, None))
+    builder.close_loops()
     return scene
+
+
+def solid_of_name(scene: Scene, name: str) -> Node | None:
+    """Return the solid of a name such as `robot` or `robot:arm`, whose last part is its field `name`."""
+    name = name.rpartition(":")[2]
+    solids = (node for node in walk(scene.nodes) if node in scene.attachments and is_a(node, "Solid"))
+    return next((node for node in solids if name and text(node, "name") == name), None)
 
 
 def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], outer: Node | None) -> None:
@@ -271,16 +299,13 @@ def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], oute
     Raises:
         WorldError: The nodes have errors, or the world is too large; the scene has a part of them.
     """
-    builder, place = _Builder(scene, scene.files, findings), outer
-    while place is not None and place not in scene.attachments and place not in scene.outer_frames:
-        place = scene.parents.get(place)
-    body, frame = None, ORIGIN
-    if place is not None:
-        body, frame = scene.attachments.get(place) or (None, scene.outer_frames[place])
+    builder = _Builder(scene, scene.files, findings)
+    body, frame = scene.around(outer)
     for node in nodes:
         if outer is not None:
             builder._link(node, outer)
         builder.add(node, _Site(body, frame, UNIT, None if body is None else body.robot, outer))
+    builder.close_loops()
     findings.require_none()
 
 
@@ -296,7 +321,8 @@ def remove_node(scene: Scene, node: Node) -> None:
     for robot in scene.robots:
         robot.devices = {name: each for name, each in robot.devices.items() if each.node not in gone}
     scene.lights = [light for light in scene.lights if light.node not in gone]
-    scene.radar_targets = [solid for solid in scene.radar_targets if solid not in gone]
+    scene.propellers = [propeller for propeller in scene.propellers if propeller.joint.node not in gone]
+    scene.loops = [loop for loop in scene.loops if not {*loop} - {None, *scene.bodies}]
     # A Shape may be in several solids (USE).
     scene.visuals = [
         visual
@@ -340,6 +366,7 @@ class _Builder:
         self.scene, self.files, self.findings = scene, files, findings
         self._shapes: dict[tuple[Node, Triple], Shape | None] = {}
         self._points = 0
+        self._open_loops: list[Body] = []
 
     def read_world_info(self, info: Node) -> None:
         scene = self.scene
@@ -348,13 +375,13 @@ class _Builder:
             self.findings.error(info.span, f"basicTimeStep is {step:g} ms; it is between 1 and 10,000")
             step = 32.0
         scene.basic_step = max(1, round(step))
-        has_default = "coordinateSystem" not in info.fields
-        system = "NUE" if has_default and info.has_old_axes else text(info, "coordinateSystem")
+        system = text(info, "coordinateSystem")
         if system not in _COORDINATE_SYSTEMS:
             self.findings.error(info.span, f"coordinateSystem '{system[:40]}' is none of ENU, NUE and EUN")
         scene.directions = tuple(AXES[axis] for axis in _COORDINATE_SYSTEMS.get(system, (0, 1, 2)))
         scene.gravity = frames.scaled(scene.directions[UP], -number(info, "gravity"))
         scene.seed = int(number(info, "randomSeed"))
+        scene.damping = _damping(info, "defaultDamping") or scene.damping
         for node in map(real, children(info, "contactProperties")):
             if node.type == "ContactProperties":
                 self._contact(node)
@@ -390,22 +417,25 @@ class _Builder:
             self._add_children(node, site.inside(node, _frame_of(node)))
         elif node.type == "Group":
             self._add_children(node, site.inside(node))
-        elif node.type == "Slot":
-            inner_node = child(node, "endPoint")
-            if inner_node is not None:
-                self._link(inner_node, node)
-                self.add(inner_node, site)
         elif node.type.endswith("Joint"):
             self._add_joint(node, site)
-        elif node.type == "Shape":
-            geometry = child(node, "geometry")
-            turn = IDENTITY_ROTATION if geometry is None else turn_of(geometry)
-            frame, scale = _turned(site.frame, site.scale, turn)
-            self.scene.visuals.append(Visual(node, site.body, frame, scale))
+        elif node.type in _ADDERS:
+            _ADDERS[node.type](self, node, site)
         elif is_a(node, "Light"):
             self.scene.lights.append(Visual(node, site.body, site.frame, site.scale))
         elif node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
+
+    def _add_slot(self, node: Node, site: _Site) -> None:
+        for inner in children(node, "endPoint"):
+            self._link(inner, node)
+            self.add(inner, site)
+
+    def _add_visual(self, node: Node, site: _Site) -> None:
+        geometry = child(node, "geometry")
+        turn = IDENTITY_ROTATION if geometry is None else turn_of(geometry)
+        frame, scale = _turned(site.frame, site.scale, turn)
+        self.scene.visuals.append(Visual(node, site.body, frame, scale))
 
     def _add_children(self, node: Node, site: _Site) -> None:
         for inner in children(node):
@@ -445,7 +475,11 @@ class _Builder:
         if len(self.scene.bodies) >= MAX_BODIES:
             raise _too_many(node, f"{MAX_BODIES:,} bodies")
         body = Body(len(self.scene.bodies), node, parent, frame, robot)
-        body.velocity = vector(node, "linearVelocity"), vector(node, "angularVelocity")
+        still = ORIGIN[0]
+        body.velocity = (
+            _vector_or(node, "linearVelocity", still),
+            _vector_or(node, "angularVelocity", still),
+        )
         self.scene.bodies.append(body)
         return body
 
@@ -456,8 +490,6 @@ class _Builder:
         frame = site.frame
         if node.type in DEVICES:
             self._add_device(node, body, compose(frame, ((0.0, 0.0, 0.0), turn_of(node))), site.robot)
-        if number(node, "radarCrossSection") > 0:
-            self.scene.radar_targets.append(node)
         first = len(body.geometries)
         bounding = next(iter(children(node, "boundingObject")), None)
         if bounding is not None:
@@ -504,9 +536,7 @@ class _Builder:
         self, node: Node, physics: Node, body: Body, frame: Frame, geometries: list[Geometry]
     ) -> None:
         body.is_dynamic = body.is_dynamic or bool(body.joints)
-        damping = child(physics, "damping")
-        if damping is not None and damping.type == "Damping":
-            body.damping = number(damping, "linear"), number(damping, "angular")
+        body.damping = _damping(physics, "damping") or self.scene.damping
         density, mass = number(physics, "density"), number(physics, "mass")
         volume = sum(volume_of(geometry.shape) for geometry in geometries)
         if density >= 0:
@@ -518,30 +548,31 @@ class _Builder:
             mass = 1.0
             self.findings.warning(physics.span, f"'{text(node, 'name')}' has no volume; its mass is 1 kg")
         centers, matrix = vectors(physics, "centerOfMass"), numbers(physics, "inertiaMatrix")
-        if len(matrix) == 6 or centers or volume <= 0:
-            self._state_inertia(physics, body, frame, mass, centers, matrix)
+        shares = [mass * volume_of(geometry.shape) / volume if volume > 0 else 0.0 for geometry in geometries]
+        if len(matrix) != 6 and volume > 0 and not centers:
+            for geometry, share in zip(geometries, shares, strict=True):
+                geometry.mass = share
             return
-        for geometry in geometries:
-            geometry.mass = mass * volume_of(geometry.shape) / volume
-
-    def _state_inertia(
-        self,
-        physics: Node,
-        body: Body,
-        frame: Frame,
-        mass: float,
-        centers: list[Triple],
-        matrix: list[float],
-    ) -> None:
-        center = centers[0] if centers else (0.0, 0.0, 0.0)
-        if len(matrix) != 6:
-            radius = 0.1  # m; the ball that stands for a solid without an outline
-            matrix = [0.4 * mass * radius**2] * 3 + [0.0] * 3
-        if not _is_inertia(matrix):
-            self.findings.error(physics.span, "inertiaMatrix is none of a rigid body")
-            return
-        center_frame = compose(frame, (center, IDENTITY_ROTATION))
-        body.inertias.append(Inertia(mass, center_frame, tuple(matrix)))
+        center = pose_of(compose(frame, (centers[0] if centers else (0.0, 0.0, 0.0), IDENTITY_ROTATION)))
+        if len(matrix) == 6:
+            if not _is_inertia(matrix):
+                self.findings.error(physics.span, "inertiaMatrix is none of a rigid body")
+                return
+            xx, yy, zz, xy, xz, yz = matrix
+            inertial = Inertial(mass, center, xx, xy, xz, yy, yz, zz)
+        elif volume > 0:  # the inertia of the bounding object, about the center that the file states
+            inertial = combined(
+                [
+                    inertial_of(geometry.shape, share, geometry.frame)
+                    for geometry, share in zip(geometries, shares, strict=True)
+                    if share > 0
+                ]
+            )
+            inertial = replace(inertial, origin=Pose(center.xyz, inertial.origin.rpy))
+        else:
+            moment = 0.4 * mass * 0.1**2  # a ball of 0.1 m stands for a solid without an outline
+            inertial = Inertial(mass, center, ixx=moment, iyy=moment, izz=moment)
+        body.inertias.append(inertial)
 
     # Joints and devices
 
@@ -551,7 +582,16 @@ class _Builder:
             self.findings.warning(node.span, f"a {node.type} outside of a solid, or without an end point")
             return
         self._link(end, node)
+        while real(end).type == "Slot" and (inner := next(iter(children(real(end), "endPoint")), None)):
+            self._link(inner, end)
+            end = inner
         node_as_written, end = end, real(end)
+        if end.type == "SolidReference":
+            body = self._body(end, site.body, site.frame, site.robot)
+            self._open_loops.append(body)
+            self._add_axes(node, body, site)
+            self._add_joint_devices(node, body, site.robot)
+            return
         if not is_a(end, "Solid"):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
@@ -563,6 +603,36 @@ class _Builder:
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.is_turned))
+
+    def close_loops(self) -> None:
+        """Find the solids that joints name as their end points, once all solids are known."""
+        for end in self._open_loops:
+            name = text(end.node, "solidName")
+            solid = solid_of_name(self.scene, name)
+            if solid is not None or name == "<static environment>":
+                self.scene.loops.append(
+                    Loop(end, None if solid is None else self.scene.attachments[solid][0])
+                )
+            else:
+                self.findings.error(end.node.span, f"there is no solid '{name[:60]}'")
+        self._open_loops.clear()
+
+    def _add_propeller(self, node: Node, site: _Site) -> None:
+        """Add a propeller, whose helix is seen, and has no mass."""
+        if site.body is None:
+            self.findings.warning(node.span, "a Propeller outside of a solid")
+            return
+        center = compose(site.frame, (vector(node, "centerOfThrust"), IDENTITY_ROTATION), site.scale)[0]
+        axis, motor = vector(node, "shaftAxis"), child(node, "device")
+        shaft = frames.rotate(site.frame[1], frames.scaled(axis, 1 / (hypot(*axis) or 1.0)))
+        joint = Joint("hinge", shaft, center, node=node, motor=motor)
+        self.scene.propellers.append(Propeller(site.body, joint))
+        for device in children(node, "device"):
+            self._link(device, node)
+            self._add_device(real(device), site.body, ORIGIN, site.robot, joint)
+        for helix in children(node, "slowHelix") or children(node, "fastHelix"):
+            self._link(helix, node)
+            self._add_children(real(helix), site.inside(real(helix), _frame_of(real(helix))))
 
     def _add_axes(self, node: Node, body: Body, site: _Site) -> None:
         """Add the joints of a node, with axis and anchor in the frame of the body."""
@@ -623,6 +693,18 @@ class _Builder:
             )
             return
         robot.devices[name] = Device(node, node.type, name, body, frame, joint)
+
+
+_ADDERS: Mapping[str, Callable[[_Builder, Node, _Site], None]] = {
+    "Slot": _Builder._add_slot,
+    "Shape": _Builder._add_visual,
+    "Propeller": _Builder._add_propeller,
+}
+
+
+def _damping(node: Node, field: str) -> tuple[float, float] | None:
+    damping = child(node, field)
+    return None if damping is None else (number(damping, "linear"), number(damping, "angular"))
 
 
 def _too_many(node: Node, limit: str) -> WorldError:

@@ -61,6 +61,8 @@ MISSING: Mapping[str, str] = {
     "Microphone": "enable getSampleData getSampleSize",
     "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
     "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",
+    "Radar": "enable disable getSamplingPeriod getMinRange getMaxRange getHorizontalFov getVerticalFov"
+    " getNumberOfTargets getTargets",
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",
 }
 """The functions of each class that deepbots does not have."""

@@ -18,7 +18,16 @@ from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.meshes import mesh_problem, mesh_size
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Sphere
+from deepbots_cli.robots.model import (
+    Box,
+    Capsule,
+    Cylinder,
+    Inertial,
+    Pose,
+    Sphere,
+    homogeneous_inertial,
+    volume,
+)
 from deepbots_webots.nodes import child, integer, is_a, number, numbers, real, texts, vector, vectors
 from deepbots_webots.syntax import Node, WorldFindings
 
@@ -40,6 +49,7 @@ MAX_VERTICES = 200_000
 MAX_HEIGHTS = 1_000_000  # the maximum numbers of vertices of a mesh, and of heights of a grid
 MAX_FACES = 2 * MAX_VERTICES  # as many as a closed mesh has
 _PLY_FACES = re.compile(rb"element[ \t]+face[ \t]+([0-9]{1,18})")
+_EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
 _FLAT = 1e-9  # m; a mesh of less extent along some axis has no volume
 
 
@@ -78,21 +88,42 @@ def kind_of(shape: Shape) -> str:
 
 def volume_of(shape: Shape) -> float:
     """Return the volume, m^3; 0 for planes and grids."""
-    match shape:
-        case Box((x, y, z)):
-            return x * y * z
-        case Sphere(radius):
-            return 4 / 3 * pi * radius**3
-        case Cylinder(radius, height):
-            return pi * radius**2 * height
-        case Capsule(radius, height):
-            return pi * radius**2 * height + 4 / 3 * pi * radius**3
-        case Mesh(vertices, faces):
-            # Signed tetrahedra with the origin (divergence theorem); faces that point inward give a negative
-            # sum.
-            a, b, c = vertices[faces].transpose(1, 0, 2)
-            return abs(float(sum((a * np.cross(b, c)).sum(axis=1).tolist()))) / 6
-    return 0.0
+    if isinstance(shape, Mesh):
+        return abs(float(_solid(shape).volume))
+    return 0.0 if isinstance(shape, Plane | Grid) else volume(shape) or 0.0
+
+
+def inertial_of(shape: Shape, mass: float, frame: Frame) -> Inertial:
+    """Return the inertial of a homogeneous box, ball, cylinder, capsule or mesh at a frame."""
+    if not isinstance(shape, Mesh):
+        inertial = (
+            None if isinstance(shape, Plane | Grid) else homogeneous_inertial(shape, mass, pose_of(frame))
+        )
+        assert inertial is not None  # planes and grids have no mass
+        return inertial
+    solid = _solid(shape)
+    solid.density = mass / solid.volume  # both are negative if faces point inward
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = solid.moment_inertia.tolist()
+    x, y, z = solid.center_mass.tolist()
+    center = compose(frame, ((x, y, z), frames.IDENTITY_ROTATION))
+    return Inertial(mass, pose_of(center), xx, xy, xz, yy, yz, zz)
+
+
+def _solid(mesh: Mesh) -> Any:
+    import trimesh
+
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+
+
+def pose_of(frame: Frame) -> Pose:
+    """Return a frame as a pose: m, and rad about fixed axes."""
+    (x, y, z), rotation = frame
+    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
+    return Pose((_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw)))
+
+
+def _rounded(value: float) -> float:
+    return round(value, _EXACT) + 0.0
 
 
 def shape_of(node: Node, scale: Triple, files: Files, findings: WorldFindings) -> Shape | None:

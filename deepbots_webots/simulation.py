@@ -157,7 +157,6 @@ class Simulation:
         self.physics.step()
         # CPU time of this thread: that of others, such as the page's, is left out.
         self.physics_seconds += time.thread_time() - started
-        self.physics.end_pushes()
         self.ticks += self.basic_step
         self.time += self.basic_step
         if self._reset_is_due:

@@ -120,7 +120,8 @@ MAX_NUMBERS = 1_000_000  # the maximum number of numbers in the lists of one fil
 MAX_NODES = 20_000
 """The maximum number of nodes of a file, and of a world with all that PROTO and USE stand for."""
 
-OLDEST_RELEASE = (2020, "a")
+OLDEST_RELEASE = (8, "6")  # V8.6, which R2018a follows
+ENU_RELEASE = (2020, "b")  # the first one with a coordinate system, which is ENU by default
 AXES_RELEASE = (2022, "a")  # the first one whose PROTOs look along x, and whose cylinders stand along z
 
 # Possessive, so that a string without an end costs linear time. The group of all numbers is not: Python before
@@ -140,7 +141,7 @@ _TOKEN = re.compile(
 )
 _NAME = re.compile(r"[^\W\d][\w.+-]*\Z")
 _HEADER = re.compile(r"#VRML_SIM\s+(\S+)\s+utf8")
-_RELEASE = re.compile(r"R(20\d\d)([a-z])")
+_RELEASE = re.compile(r"R(20\d\d)([a-z])|V(8)\.(6)")
 _FIELD_TYPE = re.compile(r"[SM]F(?:Bool|Int32|Float|String|Vec2f|Vec3f|Rotation|Color|Node)\Z")
 _FIELD_WORDS = frozenset(
     {"field", "hiddenField", "deprecatedField", "unconnectedField", "w3dField", "vrmlField"}
@@ -277,7 +278,7 @@ class _Parser:
         self.last_statement = max(self.text.rfind("%<"), self.text.rfind("%{"))  # of a template
         self.definitions: dict[str, tuple[Node, int]] = {}  # with the depth of each, 0 before its end
         self.depth = self.deepest = self.words = self.numbers = self.nodes = 0
-        self.has_old_axes = False
+        self.has_old_axes = self.has_old_gravity = False
         self.token = _START
         self.end = 0
         self.take()
@@ -356,14 +357,14 @@ class _Parser:
                 "a world begins with: #VRML_SIM R2023b utf8",
             )
         match = _RELEASE.match(header[1])
-        release = (int(match[1]), match[2]) if match is not None else (0, "")
+        release = (int(match[1] or match[3]), match[2] or match[4]) if match is not None else (0, "")
         if release < OLDEST_RELEASE and not is_proto:
             raise self._error(
                 _START,
-                f"a world of {header[1][:20]}; deepbots reads those of R2020a and later",
+                f"a world of {header[1][:20]}; deepbots reads those of V8.6 and later",
                 "open and save it in a later release of Webots",
             )
-        self.has_old_axes = release < AXES_RELEASE
+        self.has_old_axes, self.has_old_gravity = release < AXES_RELEASE, release < ENU_RELEASE
 
     def extern(self) -> Extern:
         self.take()
@@ -448,6 +449,8 @@ class _Parser:
             if key.text in node.fields:
                 raise self._error(key, f"the field {key.text} is written twice")
             node.fields[key.text] = self.value()
+        if self.has_old_gravity and node.type == "WorldInfo":
+            _write_coordinate_system(node)
         self.take()
         self.depth -= 1
         if name and self.definitions[name] is definition:  # as in Webots, an inner DEF of this name stays
@@ -526,6 +529,17 @@ class _Parser:
             self.take()
             return self.node(self.take().text)
         return self.node()
+
+
+def _write_coordinate_system(info: Node) -> None:
+    """Let a WorldInfo before R2020b, whose gravity is a vector, have a coordinate system and a number."""
+    gravity, system = info.fields.get("gravity"), "NUE"
+    match gravity and gravity.items:
+        case [0.0, float() as along, 0.0] as items:
+            items[:] = [-along]
+        case [0.0, 0.0, float() as along] as items:
+            items[:], system = [-along], "ENU"
+    info.fields.setdefault("coordinateSystem", Value(info.span, [system]))
 
 
 def _unquoted(text: str) -> str:

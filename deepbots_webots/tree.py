@@ -373,8 +373,7 @@ class Field:
         attachment = scene.attachments.get(self._real)
         if attachment is None:
             return None
-        frame, outer = physics.frame(*attachment), self._outer_frame()
-        return frame if outer is None else compose(inverse(outer), frame)
+        return compose(inverse(self._outer_frame()), physics.frame(*attachment))
 
     # Set
 
@@ -403,20 +402,13 @@ class Field:
         if body.node is not self._real or body.parent is not None or local is None:
             raise self._unset(function)
         frame = position or local[0], rotation or local[1]
-        outer = self._outer_frame()
-        physics.place(body, frame if outer is None else compose(outer, frame))
+        physics.place(body, compose(self._outer_frame(), frame))
 
-    def _outer_frame(self) -> Frame | None:
-        """Return the frame in which the fields of the node are: None for that of the world."""
-        scene, physics = self._simulation.scene, self._simulation.physics
-        above = scene.parents.get(self._real)
-        while above is not None:
-            if real(above) in scene.attachments:
-                return physics.frame(*scene.attachments[real(above)])
-            if real(above) in scene.outer_frames:
-                return scene.outer_frames[real(above)]
-            above = scene.parents.get(above)
-        return None
+    def _outer_frame(self) -> Frame:
+        """Return the frame in the world in which the fields of the node are."""
+        scene = self._simulation.scene
+        body, frame = scene.around(scene.parents.get(self._real))
+        return frame if body is None else self._simulation.physics.frame(body, frame)
 
     def setSFFloat(self, value: float) -> None:
         joint = self._joint()

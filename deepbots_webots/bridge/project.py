@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -21,6 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.port import Engine, EngineProxy
+from deepbots_cli.program.task import Training
 from deepbots_cli.records import dataclass
 from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
@@ -208,7 +210,7 @@ class HasWebotsRobots(SupervisedRobots):
 
 def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable[[], None]:
     """Return the function that lets a timestep pass: it sends, steps, and receives."""
-    lines = list(_lines(task))
+    lines = list(lines_of(task))
 
     def advance() -> None:
         starting = []
@@ -232,7 +234,7 @@ def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable
     return advance
 
 
-def _lines(task: Supervisor) -> Any:
+def lines_of(task: Supervisor) -> Any:
     """Yield each robot of the world with its two paths."""
     for copy, agent in task.agents.items():
         copies = task.scenario.agent.copies
@@ -245,6 +247,7 @@ def _lines(task: Supervisor) -> Any:
 
 
 SCENARIO, MODULE = "scenario.yaml", "environment.py"
+LEARNERS = frozenset(["PPO", "A2C", "DQN", "SAC", "TD3", "DDPG"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +274,14 @@ class Project:
             else:
                 robots[robot.name] = robot
         return robots
+
+    @property
+    def training(self) -> Training:
+        """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3."""
+        agent = self.program.agent
+        if agent.training is not None and agent.training.algorithm in LEARNERS:
+            return replace(agent.training, replay=None)
+        return Training("PPO" if agent.choices else "SAC", 100_000)
 
     @property
     def timestep_ms(self) -> int:

@@ -17,12 +17,18 @@ from deepbots_cli.codegen import formatted
 from deepbots_cli.codegen.names import class_name, docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.port import EngineProxy
 from deepbots_cli.program.robots import Motor, Robot
-from deepbots_cli.program.task import ACTIVATIONS, Schedule, Training
 from deepbots_cli.records import dataclass
 from deepbots_webots.bridge import names
-from deepbots_webots.bridge.project import MODULE, SCENARIO, Project, RemoteRobot, project_of
+from deepbots_webots.bridge.project import (
+    MODULE,
+    SCENARIO,
+    Project,
+    ReaderLog,
+    RemoteRobot,
+    lines_of,
+    project_of,
+)
 from deepbots_webots.export.world import joint_stops, world_text
 
 if TYPE_CHECKING:
@@ -35,20 +41,8 @@ if TYPE_CHECKING:
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
-_LEARNERS = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
-_SETTINGS = (
-    *("n_steps", "batch_size", "n_epochs", "gamma", "gae_lambda", "learning_rate", "ent_coef"),
-    *("vf_coef", "max_grad_norm", "clip_range", "clip_range_vf", "target_kl"),
-    *("buffer_size", "learning_starts", "train_freq", "gradient_steps", "tau"),
-    *("target_update_interval", "exploration_fraction", "exploration_initial_eps", "exploration_final_eps"),
-    *("policy_delay", "target_policy_noise", "target_noise_clip"),
-)
-"""The settings of learners that are passed on if their values are numbers."""
-_LEFT_OUT = ("action_noise", "replay", "normalize", "teacher", "patience", "symmetry", "self_play")
-"""What else a training may have, and `train.py` has not."""
-_OFF_POLICY = ("DQN", "SAC", "TD3", "DDPG")
-_PER_WORLD = ("n_steps", "train_freq")
-"""The settings that count the steps of each world."""
+_LEFT_OUT = ("replay", "normalize", "teacher", "patience", "symmetry", "self_play")
+"""What a training may have, and `train.py` has not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,9 +78,10 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
         bodies = [body.name for body in project.world.objects] + [*project.robots]
         starts = {name: recorder.pose(name)() for name in bodies}
     _require_none(compiled.program, gaps)
-    if left_out := _left_out(compiled.program):
+    if left_out := _left_out(project):
         gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
-    return WebotsProject(compiled, project, _remotes(project, task), gaps, starts)
+    remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
+    return WebotsProject(compiled, project, remotes, gaps, starts)
 
 
 def note_training(prepared: WebotsProject, trained: Program) -> None:
@@ -104,16 +99,6 @@ def _require_none(program: Program, gaps: Gaps) -> None:
         raise UsageError(f"{program.name} cannot be exported to Webots:\n{sentences}")
 
 
-def _remotes(project: Project, task: Any) -> dict[str, RemoteRobot]:
-    """Return the bound controllers by the names of robots in the world."""
-    copies = project.program.agent.copies
-    remotes: dict[str, RemoteRobot] = {}
-    for copy, agent in task.agents.items():
-        for name, remote in agent.controllers.items():
-            remotes.setdefault(copy if copies is not None and name == copies.robot else name, remote)
-    return remotes
-
-
 def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[PurePosixPath, bytes]:
     """Return the files of the project.
 
@@ -127,14 +112,8 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
     world = re.sub(r"\W+|(?<=[a-z0-9])(?=[A-Z])", "_", program.name).lower()
     texts = _texts(prepared, world, policy)
     for controller, suffix in (("supervisor", ""), ("train", "_train")):
-        writer = WorldWriter(
-            project.world,
-            project.robots,
-            prepared.remotes,
-            prepared.starts,
-            program.name,
-            f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}",
-        )
+        info = f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}"
+        writer = WorldWriter(project, prepared.remotes, prepared.starts, info)
         texts[f"worlds/{world}{suffix}.wbt"] = world_text(writer.nodes(controller))
     texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, formatted(compiled.code)
     files = {PurePosixPath(path): text.encode() for path, text in texts.items()}
@@ -172,7 +151,8 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
         "has_policy": policy is not None,
         "controllers": list(controllers),
         "differs": prepared.gaps.differs,
-        **_learner(program),
+        "algorithm": project.training.algorithm,
+        "longest_episode": program.truncation.max_episode_steps(program.period),
     }
     texts = {
         path: templates.get_template(template).render(words)
@@ -201,54 +181,14 @@ def _fields(fields: Sequence[Any]) -> str:
     return ", ".join(field.name for field in fields) or "nothing"
 
 
-def _learner(program: Program) -> dict[str, Any]:
-    """Return the algorithm, its network, and those of its settings that are numbers."""
-    agent, training = program.agent, program.agent.training
-    words: dict[str, Any] = {
-        "algorithm": "PPO" if agent.choices else "SAC",
-        "settings": [],
-        "total": 100_000,
-        "policy": "MultiInputPolicy" if agent.goal is not None else "MlpPolicy",
-    }
-    if training is not None:
-        words["total"] = training.total_timesteps
-        if training.algorithm in _LEARNERS:
-            words |= {"algorithm": training.algorithm, "settings": _settings(training)}
-    return words
-
-
-def _settings(training: Training) -> list[tuple[str, str | float]]:
-    """Return the settings of a learner of Stable-Baselines3, and the Python text or number of each."""
-    hyperparameters = {entry.name: entry.value for entry in training.hyperparameters}
-    if training.algorithm in _OFF_POLICY:
-        hyperparameters.setdefault("train_freq", 1)
-    settings: list[tuple[str, str | float]] = []
-    for key in _SETTINGS:
-        value = hyperparameters.get(key)
-        if isinstance(value, Schedule):
-            settings.append((key, f"lambda left: {value.end!r} + left * ({value.start!r} - {value.end!r})"))
-        elif isinstance(value, (int, float)) and not isinstance(value, bool):
-            # There is one world, and not as many as in a training of deepbots.
-            settings.append((key, value * training.environments if key in _PER_WORLD else value))
-    layers, activation = list(training.network.hidden), ACTIVATIONS[training.network.activation]
-    settings.append(("policy_kwargs", f"dict(net_arch={layers}, activation_fn=nn.{activation})"))
-    return settings
-
-
-def _left_out(program: Program) -> list[str]:
+def _left_out(project: Project) -> list[str]:
     """Return what `train.py` has not of the training of a scenario, by the names of the scenario."""
-    training = program.agent.training
+    training = project.program.agent.training
     if training is None:
         return []
-    if training.algorithm not in _LEARNERS:
+    if training.algorithm != project.training.algorithm:
         return [f"`algorithm: {training.algorithm}` with its settings"]
-    numbers = (int, float, Schedule)
-    names = [
-        entry.name
-        for entry in training.hyperparameters
-        if entry.name not in _SETTINGS or not isinstance(entry.value, numbers)
-    ]
-    return [f"`{name}`" for name in (*names, *(name for name in _LEFT_OUT if getattr(training, name)))]
+    return [f"`{name}`" for name in _LEFT_OUT if getattr(training, name)]
 
 
 _REQUIREMENTS = (
@@ -329,18 +269,13 @@ class Gaps:
             self.differs.append(sentence)
 
 
-class EngineRecorder(EngineProxy):
-    """An engine that records the calls of a scenario."""
+class EngineRecorder(ReaderLog):
+    """An engine that records the calls of a scenario, and what it changes."""
 
     def __init__(self, engine: Any) -> None:
         super().__init__(engine)
-        self.methods: set[str] = set()
         self.parameters: set[str] = set()
         self.has_joint_velocities = False
-
-    def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
-        self.methods.add(method)
-        return super()._pass(method, parts, *args, **kwargs)
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
         self.has_joint_velocities |= velocity != 0.0
@@ -440,9 +375,10 @@ def dynamic_gaps(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None
         for remote in agent.controllers.values():
             if isinstance(remote, RemoteRobot):
                 _gaps_of_calls(remote, gaps)
-    for method in sorted(recorder.methods & _OF_SUPERVISOR):
+    methods = {method for method, *_ in recorder.calls}
+    for method in sorted(methods & _OF_SUPERVISOR):
         gaps.miss(f"{_MISSING[method]} cannot be exported.")
-    if "contact" in recorder.methods:
+    if "contact" in methods:
         gaps.differ("A contact counts if it lasts until the end of a timestep.")
     for seed in SEEDS:
         task.reset(seed=seed)

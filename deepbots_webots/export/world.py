@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field, replace
 from math import inf, pi
+from textwrap import indent
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from deepbots_cli.engines.mechanics import (
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, rotate_tensor, rotation_matrix
 from deepbots_cli.geometry import height_grid, mesh_triangles, with_masses
 from deepbots_cli.program.robots import Motor, Robot
-from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain, WorldModel
+from deepbots_cli.program.world import ObjectBody, RobotBody, Terrain
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import (
     Box,
@@ -42,87 +43,46 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 from deepbots_webots.bridge import names
-from deepbots_webots.bridge.project import RemoteRobot
+from deepbots_webots.bridge.project import Project, RemoteRobot
 from deepbots_webots.nodes import axis_angle
 
 HEADER = "#VRML_SIM R2025a utf8"
 
 
-class Verbatim(str):
-    """A text that is written as it is, without quotes."""
-
-
-@dataclass
-class NodeText:
-    """A node: its type, DEF name and fields. A field that is None is left out."""
-
-    type: str
-    name: str = ""
-    fields: dict[str, Any] = field(default_factory=dict)
-
-    def lines(self, indent: str = "") -> Iterator[str]:
-        """Yield the lines of the node."""
-        head = f"DEF {self.name} {self.type}" if self.name else self.type
-        inner_indent = indent + "  "
-        fields = {name: value for name, value in self.fields.items() if value is not None}
-        if not fields:
-            yield f"{head} {{ }}"
-            return
-        yield f"{head} {{"
-        for name, value in fields.items():
-            first, *later_lines = _value_lines(value, inner_indent)
-            yield f"{inner_indent}{name} {first}"
-            yield from later_lines
-        yield f"{indent}}}"
+class NodeText(str):
+    """A node, or what a field has, as a world file has it."""
 
 
 def node(type: str, name: str = "", /, **fields: Any) -> NodeText:
-    return NodeText(type, name, fields)
+    """Return a node with its type, DEF name and fields. A field that is None is left out."""
+    lines = [f"{field} {_value(value)}" for field, value in fields.items() if value is not None]
+    head = f"DEF {name} {type}" if name else type
+    return NodeText(_block(f"{head} {{", lines, "}") if lines else f"{head} {{ }}")
 
 
-def _value_lines(value: Any, indent: str) -> list[str]:
-    if isinstance(value, NodeText):
-        return list(value.lines(indent))
-    if isinstance(value, list):
-        inner_indent = indent + "  "
-        lines = ["["]
-        for item in value:
-            first, *later_lines = _value_lines(item, inner_indent)
-            lines += [inner_indent + first, *later_lines]
-        return [*lines, f"{indent}]"]
-    return [_scalar(value)]
+def _block(first: str, lines: Sequence[str], last: str) -> str:
+    return "\n".join([first, *(indent(line, "  ") for line in lines), last])
 
 
-def _scalar(value: Any) -> str:
-    if isinstance(value, bool):
-        return "TRUE" if value else "FALSE"
-    if isinstance(value, Verbatim):
-        return str(value)
-    if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{escaped}"'
-    if isinstance(value, int):
-        return str(value)
-    if isinstance(value, float):
-        return number(value)
-    return numbers(value)
-
-
-def number(value: float) -> str:
-    """Return a number with all of its digits."""
-    return repr(float(value)).removesuffix(".0")
-
-
-def numbers(values: Sequence[float]) -> str:
-    return " ".join(number(value) for value in values)
+def _value(value: Any) -> str:
+    match value:
+        case NodeText():
+            return value
+        case bool():
+            return str(value).upper()
+        case str():
+            escaped = value.replace("\\", "\\\\").replace('"', '\\"')
+            return f'"{escaped}"'
+        case list():
+            return _block("[", list(map(_value, value)), "]")
+        case int() | float():
+            return repr(value).removesuffix(".0")  # with all digits
+    return " ".join(map(_value, map(float, value)))
 
 
 def world_text(nodes: Iterable[NodeText]) -> str:
     """Return the text of a world file."""
-    lines = [HEADER, ""]
-    for node_text in nodes:
-        lines += [*node_text.lines(), ""]
-    return "\n".join(lines).rstrip() + "\n"
+    return "\n\n".join([HEADER, *nodes]) + "\n"
 
 
 GROUND_COLOR = (0.83, 0.85, 0.87, 1.0)
@@ -172,28 +132,20 @@ class WorldWriter:
     """Writes the nodes of a world."""
 
     def __init__(
-        self,
-        world: WorldModel,
-        robots: dict[str, Robot],
-        remotes: dict[str, RemoteRobot],
-        starts: dict[str, Frame],
-        title: str,
-        info: str,
+        self, project: Project, remotes: dict[str, RemoteRobot], starts: dict[str, Frame], info: str
     ) -> None:
         """Prepare the world.
 
         Args:
-            world: The world of the scenario, with the copies of a robot.
-            robots: The robots by their names in the world, in the order of their channels.
-            remotes: The bound controllers, by the same names.
+            project: The scenario.
+            remotes: The bound controllers, by the names of their robots in the world.
             starts: The poses of objects and robots before the first reset, by their names in the world.
-            title: The title of the world.
             info: What the world says about itself.
         """
-        self._world, self._robots, self._remotes, self._starts = world, robots, remotes, starts
-        self._title, self._info = title, info
+        self._world, self._robots, self._title = project.world, project.robots, project.program.name
+        self._remotes, self._starts, self._info = remotes, starts, info
         self._materials: dict[tuple[float, float, float, float], str] = {}
-        self.period_ms = round(world.timestep * 1000)
+        self._basic_step = _divisor(project.timestep_ms, project.timestep_ms / self._world.substeps)
 
     def nodes(self, supervisor: str) -> Iterator[NodeText]:
         """Yield the nodes of the world; `supervisor` is the controller of the supervisor."""
@@ -205,11 +157,6 @@ class WorldWriter:
         yield node("DirectionalLight", direction=(0.3, -0.4, -0.87), intensity=2.0, castShadows=True)
         yield from bodies
         yield self._supervisor(supervisor)
-
-    def basic_step_ms(self) -> int:
-        """Return the basic time step: that of the physics, as far as it is a whole number of ms."""
-        step = self.period_ms / self._world.substeps
-        return round(step) if step >= 1 and abs(step - round(step)) < 1e-9 else _divisor(self.period_ms, step)
 
     def _bodies(self) -> Iterator[NodeText]:
         yield from self._ground()
@@ -228,7 +175,7 @@ class WorldWriter:
             "WORLD_INFO",
             info=[self._info],
             title=self._title,
-            basicTimeStep=float(self.basic_step_ms()),
+            basicTimeStep=self._basic_step,
             gravity=-self._world.gravity[2],
             contactProperties=list(self._contacts()),
         )
@@ -293,12 +240,12 @@ class WorldWriter:
             raise ValueError("a terrain of triangles")
         rows, columns = grid.heights.shape
         along_x, along_y = grid.cell
-        heights = [numbers(row) for row in grid.heights.tolist()]
+        heights = [NodeText(_value(row)) for row in map(tuple, grid.heights.tolist())]
 
         def relief() -> NodeText:
             return node(
                 "ElevationGrid",
-                height=[Verbatim(row) for row in heights],
+                height=heights,
                 xDimension=columns,
                 yDimension=rows,
                 xSpacing=along_x,
@@ -360,7 +307,7 @@ class WorldWriter:
             "controller": names.controller_name(body.name),
             "selfCollision": True if body.self_collision else None,
         }
-        return NodeText("Robot", names.def_name(body.name), self._start(body) | fields)
+        return node("Robot", names.def_name(body.name), **self._start(body) | fields)
 
     def _start(self, body: ObjectBody | RobotBody) -> dict[str, Any]:
         """Return the pose of a body at the start of an episode, as fields; a wall never moves."""
@@ -406,7 +353,7 @@ class _RobotWriter:
         """Return the node of the child link of a joint."""
         fields = _pose_fields(frames.frame(joint.origin))
         name = names.def_name(self._robot, joint.child)
-        return NodeText("Solid", name, fields | self.solid_fields(joint.child))
+        return node("Solid", name, **fields | self.solid_fields(joint.child))
 
     def _joint(self, joint: Joint) -> NodeText:
         slides = joint.type == "prismatic"
@@ -507,9 +454,8 @@ def _with_physics(model: RobotModel, fixed_base: bool) -> RobotModel:
 
 def _divisor(period: int, step: float) -> int:
     """Return the largest divisor of a timestep (ms) that is no longer than a physics step, at least 1 ms."""
-    return max(
-        (divisor for divisor in range(1, period + 1) if period % divisor == 0 and divisor <= step), default=1
-    )
+    divisors = (divisor for divisor in range(1, period + 1) if period % divisor == 0)
+    return max((divisor for divisor in divisors if divisor <= step + 1e-9), default=1)
 
 
 def _pose_fields(frame: Frame) -> dict[str, Any]:
@@ -549,7 +495,7 @@ def _posed(shape: NodeText, geometry: Geometry) -> NodeText:
     fields = _pose_fields(frames.frame(geometry.origin))
     if not any(fields.values()):
         return shape
-    return NodeText("Pose", "", fields | {"children": [shape]})
+    return node("Pose", **fields, children=[shape])
 
 
 def _drawn(geometry: Geometry) -> NodeText:
@@ -590,5 +536,5 @@ def _faces(mesh: Mesh) -> NodeText:
     return node(
         "IndexedFaceSet",
         coord=node("Coordinate", point=[tuple(point) for point in points.tolist()]),
-        coordIndex=[Verbatim(face) for face in faces],
+        coordIndex=[NodeText(face) for face in faces],
     )

@@ -27,13 +27,13 @@ from deepbots_webots.imports.world import (
     Surroundings,
     build,
     plain,
-    pose_of,
     robot_parts,
     surroundings,
 )
 from deepbots_webots.nodes import integer, number, real, text, vectors, walk
 from deepbots_webots.project import Files, World, programs, read_world
 from deepbots_webots.scene import AXES, Body, Device, Robot, Scene, build_scene
+from deepbots_webots.shapes import pose_of
 from deepbots_webots.syntax import Node, WorldFindings
 
 MAX_FILES = 30
@@ -404,12 +404,12 @@ class DraftRobot:
             if sensor is not None:
                 name = self.readings[device.name] = names.new(device.name, "sensor")
                 (self.sensors if device.name in texts else self.unused)[name] = sensor
-            elif device.type in SENSING:
-                self.left_out.append(f"{device.name} ({device.type})")
-            elif device.joint is not None and device.type.endswith("Motor"):
+            elif id(device.joint) in self.parts.joints and device.type.endswith("Motor"):
                 unit = "m/s" if device.type == "LinearMotor" else "rad/s"
                 speed = f"{plain(number(device.node, 'maxVelocity') or 1.0)} {unit}"
                 self.motors[names.new(device.name, "motor")] = (self.parts.joints[id(device.joint)], speed)
+            elif device.type in SENSING or device.type.endswith("Motor"):
+                self.left_out.append(f"{device.name} ({device.type})")
 
 
 @dataclass
@@ -452,6 +452,8 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     if scene.directions != AXES:
         hint = "convert the project by convert_nue_to_enu_rub_to_flu.py of Webots"
         world.findings.error(world.span, "the axes of the world are not ENU, as those of scenarios", hint)
+    for loop in scene.loops:
+        world.findings.error(loop.end.node.span, "a SolidReference in a robot has no counterpart in URDF")
     world.findings.require_none()
     roots = _roots(scene)
     modules = _modules(world, scene)

@@ -24,8 +24,19 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_webots.project import World
-from deepbots_webots.scene import ORIGIN, Body, Geometry, Inertia, Joint, Scene, Visual
-from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, inverse, kind_of, look_of, visible_shape
+from deepbots_webots.scene import ORIGIN, Body, Geometry, Joint, Scene, Visual
+from deepbots_webots.shapes import (
+    Grid,
+    Mesh,
+    Plane,
+    Shape,
+    inertial_of,
+    inverse,
+    kind_of,
+    look_of,
+    pose_of,
+    visible_shape,
+)
 from deepbots_webots.syntax import Node, WorldFindings
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
@@ -60,7 +71,6 @@ class Names:
 _LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
 """A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
 _MAX_FACES = 20_000  # triangles of the visible meshes of a link
-_EXACT = 12  # digits behind the point of a length (m) or an angle (rad)
 
 
 @dataclass
@@ -181,14 +191,15 @@ def _link(
     name: str,
     origin: Frame,
     geometries: Sequence[Geometry],
-    inertias: Sequence[Inertia],
+    inertias: Sequence[urdf.Inertial],
     built: Built,
     scene: Scene,
     findings: WorldFindings,
 ) -> urdf.Link:
     """Return a link with these bounding objects and inertias; `origin` is the frame of the body in it."""
     masses = [
-        _stated(inertia.mass, frames.compose(origin, inertia.frame), inertia.matrix) for inertia in inertias
+        replace(inertia, origin=pose_of(frames.compose(origin, frames.frame(inertia.origin))))
+        for inertia in inertias
     ]
     shapes: list[urdf.Geometry] = []
     for geometry in geometries:
@@ -199,7 +210,7 @@ def _link(
             continue
         shapes.append(urdf.Geometry(shape, pose))
         if geometry.mass > 0:
-            masses.append(_homogeneous(geometry.shape, geometry.mass, pose))
+            masses.append(inertial_of(geometry.shape, geometry.mass, frames.frame(pose)))
     if not masses and name != built.model.root:
         masses = [_LIGHT]
     friction = urdf.Friction(lateral=_friction(geometries, scene))
@@ -235,27 +246,6 @@ def _stl(mesh: Mesh) -> bytes:
     facets = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
     facets["corners"] = mesh.vertices[mesh.faces]
     return b"\0" * 80 + len(facets).to_bytes(4, "little") + facets.tobytes()
-
-
-# Masses
-
-
-def _homogeneous(shape: Shape, mass: float, pose: urdf.Pose) -> urdf.Inertial:
-    if isinstance(shape, Mesh):  # the inertia of the box around it; its convex hull collides
-        low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
-        x, y, z = ((high + low) / 2).tolist()
-        pose = pose_of(frames.compose(frames.frame(pose), ((x, y, z), frames.IDENTITY_ROTATION)))
-        x, y, z = (high - low).tolist()
-        shape = urdf.Box((x, y, z))
-    assert not isinstance(shape, Plane | Grid)  # they have no mass
-    inertial = urdf.homogeneous_inertial(shape, mass, pose)
-    assert inertial is not None
-    return inertial
-
-
-def _stated(mass: float, frame: Frame, matrix: tuple[float, ...]) -> urdf.Inertial:
-    xx, yy, zz, xy, xz, yz = matrix
-    return urdf.Inertial(mass, pose_of(frame), xx, xy, xz, yy, yz, zz)
 
 
 # Joints
@@ -296,7 +286,6 @@ def _at_zero(frame: Frame, joint: Joint) -> Frame:
 
 def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
     low, high = _limits(joint)
-    x, y, z = joint.axis
     velocity = effort = None
     if joint.motor is not None:
         is_linear = joint.motor.type == "LinearMotor"
@@ -312,7 +301,7 @@ def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urd
         above,
         below,
         pose_of(frame),
-        (_rounded(x), _rounded(y), _rounded(z)),
+        pose_of((joint.axis, frames.IDENTITY_ROTATION)).xyz,
         limit,
         damping=joint.damping,
         friction=joint.friction,
@@ -337,19 +326,6 @@ def _link_frame(body: Body) -> Frame:
     if body.parent is None or not body.joints:
         return ORIGIN
     return body.joints[0].anchor, frames.IDENTITY_ROTATION
-
-
-def pose_of(frame: Frame) -> urdf.Pose:
-    """Return a frame as a pose: m, and rad about fixed axes."""
-    (x, y, z), rotation = frame
-    roll, pitch, yaw = frames.roll_pitch_yaw(frames.normalized(rotation))
-    return urdf.Pose(
-        (_rounded(x), _rounded(y), _rounded(z)), (_rounded(roll), _rounded(pitch), _rounded(yaw))
-    )
-
-
-def _rounded(value: float) -> float:
-    return round(value, _EXACT) + 0.0
 
 
 MAX_OBJECTS = 60

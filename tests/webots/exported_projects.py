@@ -219,13 +219,23 @@ def read(text: str, folder: Path = Path("/nowhere")) -> World:
     return world_of_source(diagnostics.Source("world.wbt", text), path, Files(folder))
 
 
-def simulate(text: str, step: int = 8, **info: object) -> Simulation:
-    """Return a world of `step` ms that runs; `info` are further fields of its WorldInfo."""
+def simulate(text: str, step: int = 8, axes: str = "ENU", **info: object) -> Simulation:
+    """Return a world of `step` ms that runs; `info` are further fields of its WorldInfo. With NUE, a pose turns
+    the text, whose axes are east, north and up."""
+    if axes == "NUE":
+        text = f"Pose {{ rotation 1 1 1 -2.0943951 children [ {text} ] }}"
+        info["coordinateSystem"] = '"NUE"'
     fields = " ".join(f"{name} {value}" for name, value in {"basicTimeStep": step, **info}.items())
     world = read(f"WorldInfo {{ {fields} }} {text}")
     scene = build_scene(world)
     world.findings.require_none()
     return Simulation(scene, world.span)
+
+
+def enu(values: Sequence[float], axes: str) -> list[float]:
+    """Return vectors in east, north and up."""
+    triples = [values[at : at + 3] for at in range(0, len(values), 3)]
+    return [triple[index] for triple in triples for index in ((0, 1, 2) if axes == "ENU" else (2, 0, 1))]
 
 
 def run(simulation: Simulation, seconds: float) -> None:

@@ -1,6 +1,6 @@
 """Devices of worlds against closed forms.
 
-Radars, light sensors, rotating lidars and ball joints of worlds against closed forms.
+Light sensors, rotating lidars and ball joints of worlds against closed forms.
 """
 
 from __future__ import annotations
@@ -577,98 +577,6 @@ def test_a_function_that_webots_does_not_have_gets_a_suggestion():
 
 def test_a_solid_name_is_free_to_repeat():
     assert simulate(solid("Box { }") + solid("Box { }", "translation 1 0 0", name="OTHER"))
-
-
-# Radars
-
-RADAR = "DEF ROBOT Robot { %s children [ Radar { minRange 1 maxRange 50 transmittedPower 1 %s } ] }"
-TARGET = """Solid { name "%s" translation %s linearVelocity %s radarCrossSection %s
-  boundingObject Sphere { radius 0.001 } physics Physics { } }"""
-
-
-def target(place: str, velocity: str = "0 0 0", section: float = 1.0, name: str = "target") -> str:
-    return TARGET % (name, place, velocity, section)
-
-
-def radar_targets(text: str, fields: str = "", robot: str = ""):
-    """Return the targets of a radar at the origin that looks along x."""
-    return reading(simulate(RADAR % (robot, fields) + text, gravity=0), "radar").getTargets()
-
-
-def test_a_radar_measures_distance_speed_and_azimuth():
-    """A target at (10, -2, 0) with 3 m/s along x moves away with 3 * cos(angle); right is positive."""
-    (target_seen,) = radar_targets(target("10 -2 0", "3 0 0"))
-    moved = 10 + 3 * 0.008
-    angle = math.atan2(2, moved)
-    assert target_seen.distance == pytest.approx(math.hypot(moved, 2))
-    assert target_seen.azimuth == pytest.approx(angle)
-    assert target_seen.speed == pytest.approx(3 * math.cos(angle))
-
-
-def test_the_power_of_a_target_follows_the_radar_equation():
-    """P G^2 lambda^2 sigma / ((4 pi)^3 d^4), here 1 dBm, 20 dBi, 24 GHz, 2 m^2 at 10 m."""
-    (target_seen,) = radar_targets(target("10 0 0", section=2.0))
-    wavelength = 299_792_458 / 24e9
-    milliwatts = 10**0.1 * 100**2 * wavelength**2 * 2.0 / ((4 * math.pi) ** 3 * 10**4)
-    assert target_seen.received_power == pytest.approx(10 * math.log10(milliwatts))
-
-
-def test_the_noise_of_an_azimuth_may_leave_the_field_of_view():
-    """As in Webots, which limits an azimuth to the field of view, and then adds the noise."""
-    at_the_edge = target("10 -3.9 0").replace("radius 0.001", "radius 1")
-    robot = RADAR % ("", "horizontalFieldOfView 0.6 angularNoise 0.05")
-    seen = readings(simulate(robot + at_the_edge, gravity=0), "radar", 200, "getTargets")
-    azimuths = [targets[0].azimuth for targets in seen]
-    assert sum(azimuths) / 200 == pytest.approx(0.3, abs=4 * 0.05 / math.sqrt(200))
-    assert max(azimuths) > 0.35
-
-
-def test_a_moving_radar_measures_relative_speed():
-    robot = "linearVelocity 2 0 0 boundingObject Box { } physics Physics { }"
-    (target_seen,) = radar_targets(target("10 0 0", "5 0 0"), robot=robot)
-    assert target_seen.speed == pytest.approx(3)
-
-
-HIDING = 'Solid { name "wall" translation 5 0 0 boundingObject Box { size 0.1 2 2 } }'
-LEAVING = target("10 0 0", "-2 0 0")
-
-
-@pytest.mark.parametrize(
-    ("text", "fields", "count"),
-    [
-        (target("49.9 0 0"), "", 1),
-        (target("50.1 0 0"), "", 0),
-        (target("0.9 0 0"), "", 0),
-        (target("10 3.9 0"), "", 1),  # 0.372 rad, of 0.39
-        (target("10 4.3 0"), "", 0),
-        (target("10 0 0.4"), "", 1),
-        (target("10 0 0.6"), "", 0),
-        (target("-10 0 0"), "", 0),
-        (target("10 4.3 0"), "horizontalFieldOfView 1", 1),
-        (target("10 0 0"), "minDetectableSignal -70.1", 1),  # -70.04 dBm arrive
-        (target("10 0 0"), "minDetectableSignal -70", 0),
-        (target("10 0 0", section=0.0), "", 0),
-        (LEAVING, "minAbsoluteRadialSpeed 1.9", 1),
-        (LEAVING, "minAbsoluteRadialSpeed 2.1", 0),
-        (LEAVING, "minRadialSpeed -3 maxRadialSpeed -1", 1),
-        (LEAVING, "minRadialSpeed 0 maxRadialSpeed 5", 0),
-        (HIDING + target("10 0 0"), "", 1),
-        (HIDING + target("10 0 0"), "occlusion TRUE", 0),
-        (target("10 0 0"), "occlusion TRUE", 1),
-    ],
-)
-def test_a_radar_sees_what_its_fields_allow(text: str, fields: str, count: int):
-    assert len(radar_targets(text, fields)) == count
-
-
-def test_targets_in_one_cell_are_one():
-    """The mean is weighted by power: sections of 1 and 3 at 10.0 and 10.4 m."""
-    pair = target("10 0 0") + target("10.4 0 0", section=3.0, name="other")
-    assert len(radar_targets(pair)) == 2
-    (target_seen,) = radar_targets(pair, "cellDistance 0.5")
-    weights = (1 / 10**4, 3 / 10.4**4)
-    assert target_seen.distance == pytest.approx((10 * weights[0] + 10.4 * weights[1]) / sum(weights))
-    assert len(radar_targets(pair, "cellDistance 0.5 cellSpeed 0.1")) == 1
 
 
 # Light

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 from typing import Any
 
@@ -219,55 +220,23 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
 
 
 @pytest.mark.parametrize(
-    ("name", "settings", "lines"),
+    ("settings", "algorithm", "left_out"),
     [
+        ("{algorithm: DQN, total_timesteps: 1000}", "DQN", ""),
+        ("{algorithm: PPO, total_timesteps: 1000, normalize: reward}", "PPO", "`normalize`"),
         (
-            "cartpole",
-            ("train={algorithm: DQN, target_update_interval: 500, exploration_fraction: 0.3}",),
-            ("model = DQN(", "target_update_interval=500,", "exploration_fraction=0.3,"),
-        ),
-        (
-            "find_ball",
-            ("train={algorithm: TD3, policy_delay: 3, target_noise_clip: 0.4}",),
-            ("model = TD3(", "policy_delay=3,", "target_noise_clip=0.4,"),
-        ),
-        (
-            "find_ball",
-            ("train={algorithm: SAC, tau: 0.01, gradient_steps: 2}",),
-            ("model = SAC(", "tau=0.01,", "gradient_steps=2,"),
-        ),
-        (
-            "cartpole",
-            ("train={algorithm: A2C, max_grad_norm: 0.3, gae_lambda: 0.9}",),
-            ("model = A2C(", "max_grad_norm=0.3,", "gae_lambda=0.9,"),
-        ),
-        # One world updates as often per step as many.
-        (
-            "find_ball",
-            ("train.environments=8", "train.train_freq=2", "train.learning_rate=1e-3 -> 1e-4"),
-            ("train_freq=16,", "learning_rate=lambda left: 0.0001 + left * (0.001 - 0.0001),"),
-        ),
-        (
-            "cartpole",
-            ("train.clip_range=0.1", "train.vf_coef=0.7", "train.init_std=0.5"),
-            (
-                "clip_range=0.1,",
-                "vf_coef=0.7,",
-                "policy_kwargs=dict(net_arch=[10, 10], activation_fn=nn.ReLU),",
-            ),
+            "{algorithm: RecurrentPPO, total_timesteps: 1000}",
+            "PPO",
+            "`algorithm: RecurrentPPO` with its settings",
         ),
     ],
 )
-def test_the_training_has_the_settings_of_its_learner(
-    name: str, settings: tuple[str, ...], lines: tuple[str, ...], tmp_path: Path
-):
-    settings = tuple(text.replace("}", ", total_timesteps: 1000}") for text in settings)
-    exported(name, tmp_path, *settings)
-    text = (tmp_path / "controllers/train/train.py").read_text()
-    assert [line for line in lines if line not in text] == []
-    assert ("leaves out `init_std`" in (tmp_path / "README.md").read_text()) is (
-        "train.init_std=0.5" in settings
-    )
+def test_the_training_is_that_of_the_scenario(settings: str, algorithm: str, left_out: str, tmp_path: Path):
+    prepared = exported("cartpole", tmp_path, f"train={settings}")
+    assert prepared.project.training.algorithm == algorithm
+    assert f'"{algorithm}"' in (tmp_path / "controllers/supervisor/supervisor.py").read_text()
+    readme = (tmp_path / "README.md").read_text()
+    assert re.findall("`train.py` leaves out (.*)[.]", readme) == [left_out] * bool(left_out)
 
 
 def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):

@@ -12,13 +12,13 @@ import pytest
 from deepbots_webots.sensors import NotImplementedCallError
 from deepbots_webots.simulation import Simulation
 from deepbots_webots.supervisor import Supervisor, activate, deactivate
-from deepbots_webots.syntax import WorldError
 from deepbots_webots.tree import Field, Node
 from tests.webots.exported_projects import (
     FLOOR,
     HEADER,
     ROD_INERTIA,
     device,
+    enu,
     hinge,
     node,
     read,
@@ -29,32 +29,30 @@ from tests.webots.exported_projects import (
 )
 
 
-def test_a_supervisor_sets_gravity():
-    simulation = simulate(solid("Box { }"), gravity=0)
+@pytest.fixture(params=["ENU", "NUE"])
+def axes(request: pytest.FixtureRequest) -> str:
+    return request.param
+
+
+def test_a_supervisor_sets_gravity(axes: str):
+    simulation = simulate(solid("Box { }"), axes=axes, gravity=0)
     info = Node(simulation, next(entry for entry in simulation.scene.nodes if entry.type == "WorldInfo"))
     info.getField("gravity").setSFFloat(2)
     run(simulation, 1)
-    assert (node(simulation, "BODY").getVelocity()[2], info.getField("gravity").getSFFloat()) == (
-        pytest.approx(-2, rel=0.01),
-        2,
-    )
+    assert enu(node(simulation, "BODY").getVelocity(), axes)[2] == pytest.approx(-2, rel=0.01)
+    assert info.getField("gravity").getSFFloat() == 2
 
 
-def test_gravity_is_not_a_vector_in_webots():
-    with pytest.raises(WorldError, match=r"WorldInfo\.gravity is 3 numbers, and not a number"):
-        simulate("", gravity="0 0 -9.81")
-
-
-def test_a_pendulum_swings_with_its_period():
+def test_a_pendulum_swings_with_its_period(axes: str):
     text = hinge(
         end="rotation 0 1 0 1.4708 boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }"
     )
-    simulation = simulate(text)
+    simulation = simulate(text, axes=axes)
     times = []
     before = None
     for step in range(1000):
         simulation.run_step()
-        now = node(simulation, "ROD").getVelocity()[4]
+        now = enu(node(simulation, "ROD").getVelocity(), axes)[4]
         if before is not None and before < 0 <= now:
             times.append(step * 0.008 + 0.008 * before / (before - now))
         before = now
@@ -93,13 +91,16 @@ def test_two_materials_have_the_friction_of_their_pair():
         ),
     ],
 )
-def test_a_motor_reaches_its_velocity(motor: str, step: int, command: float, seconds: float, velocity: float):
+def test_a_motor_reaches_its_velocity(
+    axes: str, motor: str, step: int, command: float, seconds: float, velocity: float
+):
     is_linear = motor.startswith("Linear")
     text = hinge(devices=motor, kind="SliderJoint" if is_linear else "HingeJoint")
-    simulation = simulate(text, step, gravity=0)
+    simulation = simulate(text, step, axes, gravity=0)
     turning(simulation, command, "linear motor" if is_linear else "rotational motor")
     run(simulation, seconds)
-    assert node(simulation, "ROD").getVelocity()[0 if is_linear else 4] == pytest.approx(velocity, rel=0.01)
+    reached = enu(node(simulation, "ROD").getVelocity(), axes)[0 if is_linear else 4]
+    assert reached == pytest.approx(velocity, rel=0.01)
 
 
 def position(simulation: Simulation) -> float:
@@ -108,8 +109,13 @@ def position(simulation: Simulation) -> float:
 
 def angle(simulation: Simulation) -> float:
     """The angle of the rod, rad."""
-    x, _, z = node(simulation, "ROD").getOrientation()[0::3]
-    return math.atan2(-z, x)
+    return turn(simulation, "ROD")[0]
+
+
+def turn(simulation: Simulation, name: str) -> tuple[float, float]:
+    """The angles of a solid about y and z in its robot, rad."""
+    x, y, z = node(simulation, name).getPose(node(simulation, "ROBOT"))[0:12:4]
+    return math.atan2(-z, math.hypot(x, y)), math.atan2(y, x)
 
 
 @pytest.mark.parametrize(
@@ -153,8 +159,10 @@ def angle(simulation: Simulation) -> float:
         ),
     ],
 )
-def test_a_joint_is_where_mechanics_has_it(text: str, info: dict, seconds: float, read, expected: object):
-    simulation = simulate(text, **info)
+def test_a_joint_is_where_mechanics_has_it(
+    axes: str, text: str, info: dict, seconds: float, read, expected: object
+):
+    simulation = simulate(text, axes=axes, **info)
     run(simulation, seconds)
     assert read(simulation) == expected
 
@@ -174,8 +182,9 @@ def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
 
 
 @pytest.mark.parametrize(("parameters", "brake"), [("dampingConstant 4", ""), ("", "Brake { }")])
-def test_damping_slows_exponentially(parameters: str, brake: str):
-    simulation = simulate(hinge(parameters, f"RotationalMotor {{ maxTorque 1e6 }} {brake}"), gravity=0)
+def test_damping_slows_exponentially(axes: str, parameters: str, brake: str):
+    text = hinge(parameters, f"RotationalMotor {{ maxTorque 1e6 }} {brake}")
+    simulation = simulate(text, axes=axes, gravity=0)
     motor = turning(simulation, 3)
     simulation.run_step()
     motor.setTorque(0)
@@ -183,31 +192,45 @@ def test_damping_slows_exponentially(parameters: str, brake: str):
         device(simulation, "brake").setDampingConstant(4)
     run(simulation, 0.2)
     left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
-    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(left, rel=0.03)
+    assert enu(node(simulation, "ROD").getVelocity(), axes)[4] == pytest.approx(left, rel=0.03)
 
 
-def test_a_ball_joint_turns_about_all_axes():
-    text = """Robot { children [ BallJoint { jointParameters BallJointParameters { anchor 0 0 0 }
+@pytest.mark.parametrize(("own", "default", "left"), [("linear 0.5", "", 0.5), ("", "linear 0.4", 0.6)])
+def test_a_body_loses_its_share_of_velocity_per_second(own: str, default: str, left: float):
+    damping = f"damping Damping {{ {own} }}" if own else ""
+    body = f"DEF BODY Solid {{ linearVelocity 2 0 0 physics Physics {{ density -1 mass 1 {damping} }} }}"
+    simulation = simulate(body, gravity=0, defaultDamping=f"Damping {{ {default} }}" if default else "NULL")
+    run(simulation, 1)
+    assert node(simulation, "BODY").getVelocity()[0] == pytest.approx(2 * left, rel=0.01)
+
+
+def test_a_ball_joint_turns_about_all_axes(axes: str):
+    text = """DEF ROBOT Robot { children [ BallJoint { jointParameters BallJointParameters { anchor 0 0 0 }
       endPoint DEF ROD Solid { boundingObject Pose { translation 0.5 0 0 children [ Box { size 1 0.02 0.02 } ] }
       physics Physics { density -1 mass 2 } } } ] }"""
-    simulation = simulate(text)
+    simulation = simulate(text, axes=axes)
     run(simulation, 0.2)
     angle = 2 * 9.81 * 0.5 / ROD_INERTIA * 0.2**2 / 2
     assert node(simulation, "ROD").getPosition() == pytest.approx([0, 0, 0], abs=1e-3)
-    assert math.asin(-node(simulation, "ROD").getOrientation()[6]) == pytest.approx(angle, rel=0.06)
+    assert turn(simulation, "ROD")[0] == pytest.approx(angle, rel=0.06)
 
 
-def test_a_hinge2_joint_has_two_axes():
+def test_a_hinge2_joint_has_two_axes(axes: str):
     text = """DEF ROBOT Robot { children [ DEF JOINT Hinge2Joint {
       jointParameters HingeJointParameters { axis 0 0 1 } jointParameters2 JointParameters { axis 0 1 0 }
       device [ RotationalMotor { name "first" maxTorque 1e6 } ] device2 [ RotationalMotor { name "second" maxTorque 1e6 } ]
       endPoint DEF ROD Solid { boundingObject Box { size 1 0.2 0.1 } physics Physics { density -1 mass 2 } } } ] }"""
-    simulation = simulate(text, gravity=0)
+    simulation = simulate(text, axes=axes, gravity=0)
     for name, angle in (("first", 0.6), ("second", 0.3)):
         device(simulation, name).setPosition(angle)
     run(simulation, 3)
-    x, y, z = node(simulation, "ROD").getOrientation()[0::3]
-    assert (math.atan2(y, x), math.asin(-z)) == pytest.approx((0.6, 0.3), abs=1e-3)
+    assert turn(simulation, "ROD") == pytest.approx((0.3, 0.6), abs=1e-3)
+
+
+TETRAHEDRON = (
+    "IndexedFaceSet { coord Coordinate { point [ 0 0 0, 0.3 0 0, 0 0.3 0, 0 0 0.3 ] }"
+    " coordIndex [ 0 2 1 -1 0 1 3 -1 0 3 2 -1 1 2 3 -1 ] }"
+)
 
 
 @pytest.mark.parametrize(
@@ -217,11 +240,7 @@ def test_a_hinge2_joint_has_two_axes():
         ("Sphere { radius 0.1 }", 4 / 3 * math.pi * 1e-3),
         ("Cylinder { radius 0.1 height 0.3 }", math.pi * 0.003),
         ("Capsule { radius 0.1 height 0.3 }", math.pi * 0.003 + 4 / 3 * math.pi * 1e-3),
-        (
-            "IndexedFaceSet { coord Coordinate { point [ 0 0 0, 0.3 0 0, 0 0.3 0, 0 0 0.3 ] }"
-            " coordIndex [ 0 2 1 -1 0 1 3 -1 0 3 2 -1 1 2 3 -1 ] }",
-            0.3**3 / 6,
-        ),
+        (TETRAHEDRON, 0.3**3 / 6),
     ],
 )
 def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
@@ -231,15 +250,75 @@ def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
     assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
 
 
-def test_stated_inertia_and_center_replace_those_of_the_outline():
-    text = """DEF BODY Solid { boundingObject Box { } physics Physics { density -1 mass 2
-      centerOfMass [ 0.1 0 0 ] inertiaMatrix [ 0.02 0.03 0.04, 0 0 0 ] } }"""
+@pytest.mark.parametrize(
+    ("shape", "stated", "moment"),
+    [
+        ("Box { }", "inertiaMatrix [ 0.02 0.03 0.04, 0 0 0 ]", 0.04),
+        ("Box { size 0.2 0.4 0.6 }", "", 2 / 12 * (0.2**2 + 0.4**2)),
+        (
+            "Pose { rotation 1 0 0 1.5707963 children [ Box { size 0.2 0.6 0.4 } ] }",
+            "",
+            2 / 12 * (0.2**2 + 0.4**2),
+        ),
+        (TETRAHEDRON, "", 2 * 0.3**2 / 14),  # about its center 3/40, with products of 1/80
+    ],
+)
+def test_a_stated_center_of_mass_keeps_the_inertia_of_the_outline(shape: str, stated: str, moment: float):
+    text = f"""DEF BODY Solid {{ boundingObject {shape} physics Physics {{ density -1 mass 2
+      centerOfMass [ 0.1 0 0 ] {stated} }} }}"""
     simulation = simulate(text, gravity=0)
     body = node(simulation, "BODY")
     assert body.getCenterOfMass() == pytest.approx([0.1, 0, 0])
-    body.addTorque([0.0, 0.0, 1.0], False)
+    body.addTorque([0.0, 0.0, 1e-3], False)
     simulation.run_step()
-    assert body.getVelocity()[5] == pytest.approx(0.008 / 0.04, rel=0.01)
+    assert body.getVelocity()[5] == pytest.approx(0.008e-3 / moment, rel=0.01)
+
+
+def test_propellers_lift_their_robot_by_the_square_of_their_speed(axes: str):
+    propeller = """Propeller {{ shaftAxis 0 0 2 centerOfThrust {} 0 0 thrustConstants {} 1e-4
+      torqueConstants 1e-6 0 device RotationalMotor {{ name "{}" maxVelocity 600 }} slowHelix Solid {{ }} }}"""
+    pair = propeller.format(0.1, 1e-4, "a") + propeller.format(-0.1, -1e-4, "b")
+    robot = f"""DEF BODY Robot {{ boundingObject Box {{ size 0.2 0.2 0.1 }}
+      physics Physics {{ density -1 mass 0.5 }} children [ {pair} ] }}"""
+    simulation = simulate(robot, axes=axes)
+    for name, speed in (("a", 200), ("b", -200)):
+        turning(simulation, speed, name)
+    run(simulation, 1)
+    # m dv/dt = 2 a w^2 - m g - 2 b w v
+    lift, drag = 2 * 1e-4 * 200**2 / 0.5 - 9.81, 2 * 1e-4 * 200 / 0.5
+    velocity = lift / drag * (1 - math.exp(-drag))
+    assert enu(node(simulation, "BODY").getVelocity(), axes) == pytest.approx(
+        [0, 0, velocity, 0, 0, 0], rel=0.01, abs=1e-6
+    )
+    device(simulation, "b").setVelocity(0)
+    spin = enu(node(simulation, "BODY").getVelocity(), axes)[5]
+    simulation.run_step()
+    inertia = 0.5 / 12 * (0.2**2 + 0.2**2)
+    assert enu(node(simulation, "BODY").getVelocity(), axes)[5] - spin == pytest.approx(
+        -1e-6 * 200**2 / inertia * 0.008, rel=0.01
+    )
+
+
+def test_a_solid_reference_closes_a_loop(axes: str):
+    """A coupler between two equal rods stays level while they swing."""
+    ends = """DEF COUPLER Solid { translation 1 0 0 boundingObject Pose { translation 0.3 0 0
+      children [ Box { size 0.6 0.02 0.02 } ] } physics Physics { density -1 mass 1 } children [ HingeJoint {
+      jointParameters HingeJointParameters { axis 0 1 0 anchor 0.6 0 0 } endPoint SolidReference { solidName "far" } } ] }"""
+    rod = """HingeJoint {{ jointParameters HingeJointParameters {{ axis 0 1 0 anchor {0} 0 0 }} endPoint DEF {1} Solid {{
+      translation {0} 0 0 name "{1}" boundingObject Pose {{ translation 0.5 0 0 children [ Box {{ size 1 0.02 0.02 }} ] }}
+      physics Physics {{ density -1 mass 1 }} children [ {2} ] }} }}"""
+    near = rod.format(
+        0,
+        "near",
+        "HingeJoint { jointParameters HingeJointParameters { axis 0 1 0 anchor 1 0 0 }"
+        f" endPoint {ends} }}",
+    )
+    robot = f"DEF ROBOT Robot {{ children [ {near} {rod.format(0.6, 'far', '')} ] }}"
+    simulation = simulate(robot, axes=axes)
+    run(simulation, 0.3)
+    turned = [turn(simulation, name)[0] for name in ("near", "far", "COUPLER")]
+    inertia = 2 / 3 + 1
+    assert turned == pytest.approx([2 * 9.81 / inertia * 0.3**2 / 2] * 2 + [0], rel=0.1, abs=2e-3)
 
 
 def test_solids_without_a_joint_are_one_body():

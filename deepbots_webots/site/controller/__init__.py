@@ -15,6 +15,8 @@ from deepbots_webots.devices import (
     Pen,
     PositionSensor,
     Proto,
+    Radar,
+    RadarTarget,
     Radio,
     Receiver,
     Skin,
@@ -26,8 +28,6 @@ from deepbots_webots.imaging import (
     CameraRecognitionObject,
     Lidar,
     LidarPoint,
-    Radar,
-    RadarTarget,
     RangeFinder,
 )
 from deepbots_webots.sensors import (
