@@ -297,14 +297,15 @@ def _holders(section: type[Section], name: str, value: object) -> list[str]:
 
 
 @cache  # a file may hold thousands of unknown keys, and the walk takes a millisecond
-def _homes() -> Mapping[str, frozenset[tuple[str, ...]]]:
-    """Return the paths of the sections that have each key; `*` is a name that the user chooses."""
-    homes: dict[str, set[tuple[str, ...]]] = {}
+def _homes() -> Mapping[str, Mapping[tuple[str, ...], None]]:
+    """Return the paths of the sections that have each key, in their order; `*` is a name that the user
+    chooses."""
+    homes: dict[str, dict[tuple[str, ...], None]] = {}
     for home, section, _ in walk_sections(Scenario):
         if isinstance(section, type):
             for key in section.model_fields:
-                homes.setdefault(key, set()).add(home)
-    return {key: frozenset(places) for key, places in homes.items()}
+                homes.setdefault(key, {})[home] = None
+    return homes
 
 
 def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
@@ -316,7 +317,7 @@ def _pattern_matches(pattern: tuple[str, ...], steps: tuple[str, ...]) -> bool:
 def _home_next_to(parent: NodePath, key: str) -> NodePath | None:
     """Return the path of the section one level up or down that has this key."""
     here = tuple(step for step in parent if isinstance(step, str))
-    homes = _homes().get(key, frozenset())
+    homes = _homes().get(key, {})
     levels = [home for home in homes if _pattern_matches(home, here[:-1])] if here else []
     below = [home for home in homes if _pattern_matches(home[: len(here)], here)]
     levels += [home for home in below if len(home) == len(here) + 1 and home[-1] != "*"]
