@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, ZERO, Interval
-from deepbots_cli.expressions.scalar import Scalar, State
+from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, State
 from deepbots_cli.program.values import Expression
 
 Terms = list[tuple[Expression, Scalar]]
@@ -15,6 +17,9 @@ _EARLIER_VALUE_FUNCTIONS = frozenset(
 )
 """The functions of earlier values, except durations and filters. A term with one of them may pay for progress
 alone."""
+
+_ROTATIONS = frozenset({"orientation", "angular_velocity", "angular_momentum"})
+"""The functions of the world that measure how a body is turned, or turns."""
 
 
 class RewardTerms:
@@ -81,6 +86,17 @@ class RewardTerms:
             iv.absolute(total_range(final, self.ranges_at(ending))).high
             for ending in self.endings_and_truncation
         )
+
+
+def measured_subjects(analysis: RangeAnalysis, tree: Scalar) -> Iterator[tuple[str, bool]]:
+    """Yield the bodies, joints and sensors that a value is computed from, each with whether its rotation is
+    measured. A position, a speed and a path around obstacles are all about the place of a body."""
+    for node in analysis.walk_definitions(tree):
+        match node:
+            case EngineRead(function, subjects):
+                yield from ((subject, function in _ROTATIONS) for subject in subjects)
+            case Name(name) if analysis.sensor(node) is not None:
+                yield name, False
 
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:

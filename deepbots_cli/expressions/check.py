@@ -6,6 +6,7 @@ A finding stops the check of all nodes above its own, but not of its neighbors: 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from fractions import Fraction
@@ -33,6 +34,7 @@ from deepbots_cli.expressions.functions import (
 )
 from deepbots_cli.expressions.intervals import TRUTH, Interval, hull, single
 from deepbots_cli.expressions.types import (
+    CORRECTED_LINE,
     MAX_SIZE,
     PLANE,
     SPACE,
@@ -64,6 +66,7 @@ from deepbots_cli.expressions.unification import (
     FOREIGN_FUNCTION_HELP,
     FUNCTION_OF_KIND,
     NAME_HELP,
+    WHOLE_TEXT,
     StopChecking,
     aligned,
     components_of,
@@ -92,6 +95,7 @@ COMPARISONS = {
     "==": "equal",
     "!=": "not_equal",
 }
+_NUMBER = r"[-+]?[\d_]*\.?\d+(?:[eE][-+]?\d+)?"
 _MAX_EXPONENT = 12
 # Physical formulas contain halves, thirds and quarters as exponents. A float counts as such a fraction if it
 # is the nearest float to it.
@@ -156,10 +160,22 @@ def check_range(
 
 
 def _require_rising(typed: TypedRange, report: FindingReporter) -> None:
-    if any(low.low > high.high for low, high in _columns((typed.low.type, typed.high.type))):
-        raise report_at(
-            report, "DB105", typed, "a range whose low end is above its high end", "write the low end first"
-        )
+    columns = list(_columns((typed.low.type, typed.high.type)))
+    if any(low.low > high.high for low, high in columns):
+        headline, help = "a range whose low end is above its high end", "write the low end first"
+        if len(columns) > 1:  # perhaps of one component only
+            raise report_at(report, "DB105", typed, headline, help)
+        help += f": {CORRECTED_LINE}"
+        raise report_at(report, "DB105", typed, headline, help, WHOLE_TEXT, corrected=partial(_turned, typed))
+
+
+def _turned(typed: TypedRange, text: str) -> str:
+    """Return a text with the ends of a range in the other order; a unit behind both ends stays there."""
+    low, high = (text[end.start : end.end] for end in (typed.low, typed.high))
+    is_number = re.fullmatch(_NUMBER, low) is not None
+    first = high[: match.end()] if is_number and (match := re.match(_NUMBER, high)) else high
+    between, unit = text[typed.low.end : typed.high.start], high[len(first) :]
+    return f"{text[: typed.low.start]}{first}{between}{low}{unit}{text[typed.high.end :]}"
 
 
 def _summed(tree: syntax.Node) -> Iterator[syntax.Node]:

@@ -849,13 +849,13 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause(
         name="success_never_seen",
-        title="the training has seen hardly any success",
+        title="{title}",
         likelihood=0.7,
         when=lambda e: e.program.defines_success and len(e.episodes) >= MIN_EPISODES and is_rare(e),
         numbers=stages.success_never_seen,
         text="{seen} of {episodes} episodes{where} {verb} a success ('{ending}'){though}; their returns"
         " differ by {spread} (standard deviation).",
-        advice="{remedy} start nearer to success, or loosen its condition; a curriculum can do the latter"
+        advice="{remedy}, start nearer to success, or loosen its condition; a curriculum can do the latter"
         " two.",
         is_provisional=True,
     ),

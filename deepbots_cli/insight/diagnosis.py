@@ -70,7 +70,12 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
 
     remaining = [statement for statement in statements if not is_left_out(statement)]
     explained = {name for statement in remaining for name in _BY_NAME[statement.cause].explains}
-    return [_with_command(training, statement) for statement in remaining if statement.cause not in explained]
+    causes = (
+        replace(statement, settings=_settings_of_agent(training, statement))
+        for statement in remaining
+        if statement.cause not in explained
+    )
+    return [replace(cause, command=_next_command(training, cause)) for cause in causes]
 
 
 def verdict(training: TrainingEvidence, causes: Sequence[Statement]) -> str:
@@ -79,11 +84,6 @@ def verdict(training: TrainingEvidence, causes: Sequence[Statement]) -> str:
     state = "not solved yet" if training.is_running else states[training.verdict.solved]
     titles = [cause.title for cause in sorted(causes, key=lambda cause: cause.cause == CHANGED)]
     return ": ".join(filter(None, (state, *titles[:1]))) or "no cause of a failure was found"
-
-
-def _with_command(evidence: TrainingEvidence, statement: Statement) -> Statement:
-    statement = replace(statement, settings=_settings_of_agent(evidence, statement))
-    return replace(statement, command=_next_command(evidence, statement))
 
 
 def _settings_of_agent(evidence: TrainingEvidence, statement: Statement) -> Mapping[str, str]:

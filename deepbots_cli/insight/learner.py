@@ -443,7 +443,7 @@ def success_needs_exploration(evidence: TrainingEvidence) -> Numbers | None:
     )
     if needed is None:
         return None
-    if not evidence.facts.shows_previous_action:
+    if all(entry.name != "previous_action" for entry in evidence.program.agent.observation):
         otherwise += ", or show the policy its previous action (`previous_action: auto` under `observation`)"
     return {
         **evidence.length(),

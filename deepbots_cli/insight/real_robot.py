@@ -95,11 +95,7 @@ class Measurable:
     def __init__(self, program: Program, readings: Sequence[Reading]) -> None:
         self._deployment = Deployment(program)
         self._changing = {value.name for value in program.parameters if value.redraw is not None}
-        self._facts = {fact for reading in readings for fact in self.facts_of(reading)}
-
-    def facts_of(self, reading: Reading) -> Iterator[Fact]:
-        """Yield the facts that a reading measures, in the order of its numbers."""
-        yield from filter(None, self.facts_by_number(reading))
+        self._facts = {fact for reading in readings for fact in self.facts_by_number(reading) if fact}
 
     def facts_by_number(self, reading: Reading) -> Iterator[Fact | None]:
         """Yield the fact that each number of a reading measures; None if it measures none."""

@@ -24,7 +24,6 @@ import numpy as np
 import deepbots_cli
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
-from deepbots_cli.diagnostics import Span
 from deepbots_cli.diagnostics.findings import Source as Text
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
@@ -518,7 +517,10 @@ class Report:
             agents=[(agent, _drawn(partial(self.agent_figures, agent))) for agent in self.agents],
             agent_titles=AGENT_FIGURES,
             clips=clips,
-            findings=[(_location(run, finding.span), finding) for finding in linted.findings],
+            findings=[
+                (f"{_name(run, finding.span.source)}:{finding.span.start_position.line}", finding)
+                for finding in linted.findings
+            ],
             listings=_listings(run, linted),
             rows=[(shown.run.path.name, shown.run.record, shown.verdict.text) for shown in self.runs],
             command=join(run.record.command) or "(from Python)",
@@ -577,10 +579,6 @@ def _listings(run: Run, linted: LintedScenario) -> list[Listing]:
     if not linted.is_whole and all(text.text != resolved for text in texts):
         listings.append(Listing(RESOLVED_NAME, resolved.splitlines(), frozenset()))
     return listings
-
-
-def _location(run: Run, span: Span) -> str:
-    return f"{_name(run, span.source)}:{span.start_position.line}"
 
 
 def _name(run: Run, text: Text) -> str:

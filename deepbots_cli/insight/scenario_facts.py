@@ -14,8 +14,8 @@ from shlex import join
 
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import ConditionComparison, comparisons
-from deepbots_cli.analysis.returns import total_range, uses_earlier_values
+from deepbots_cli.analysis.conditions import comparisons
+from deepbots_cli.analysis.returns import Terms, measured_subjects, total_range, uses_earlier_values
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
@@ -24,6 +24,7 @@ from deepbots_cli.document import Node, Permissions, shipped
 from deepbots_cli.document.files import MAX_BYTES
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Known
 from deepbots_cli.files import read_at_most
@@ -55,10 +56,6 @@ class ScenarioFacts:
     # Observation
 
     @property
-    def shows_previous_action(self) -> bool:
-        return any(entry.name == "previous_action" for entry in self.program.agent.observation)
-
-    @property
     def history(self) -> int:
         """The longest history of a value of the observation, in steps; 1 if the policy observes the newest
         values only."""
@@ -81,22 +78,49 @@ class ScenarioFacts:
 
     @cached_property
     def terms_towards_success(self) -> tuple[str, ...]:
-        """The terms that can pay in ordinary steps, and depend on the values that the success compares;
-        progress first."""
-        reward = self._analysis.reward
-        running, (ordinary, _) = reward.ranges_while_running(), reward.split_by_end()
-        aims = {reading for tree in self._success_trees for reading in self._readings(tree)}
-        towards = [
-            (term.name, node)
-            for term, node in ordinary
-            if running.of(node).high > 0.0 and aims.intersection(self._readings(node))
-        ]
-        return tuple(
-            name
-            for name, _ in sorted(
-                towards, key=lambda entry: not uses_earlier_values(self._analysis, entry[1])
-            )
+        """The terms that can pay in ordinary steps, and depend on what the success measures; progress
+        first."""
+        running = self._analysis.reward.ranges_while_running()
+        terms = sorted(
+            self._terms_of_success, key=lambda entry: not uses_earlier_values(self._analysis, entry[1])
         )
+        return tuple(term.name for term, node in terms if running.of(node).high > 0.0)
+
+    @property
+    def _terms_of_success(self) -> Terms:
+        """The terms of ordinary steps that depend on what the success measures."""
+        goal, (ordinary, _) = self.program.agent.goal, self._analysis.reward.split_by_end()
+        successes = (success for success in self.program.successes if success.foreign is None)
+        trees = [tree for success in successes for tree in self._analysis.scalars(success)]
+        trees += goal.achieved.scalars if goal is not None else ()
+        aims = {subject for tree in trees for subject in measured_subjects(self._analysis, tree)}
+        return [
+            (term, node)
+            for term, node in ordinary
+            if aims.intersection(measured_subjects(self._analysis, node))
+        ]
+
+    @property
+    def unpaid_quantity(self) -> tuple[str, str] | None:
+        """The quantity that a success compares if no term of ordinary steps depends on what the successes
+        measure, and a term that pays for its change; None if there is none, or if it is unknown."""
+        agent = self.program.agent
+        if agent.goal or any(term.foreign for term in agent.reward) or self._terms_of_success:
+            return None
+        compared = (pair for end in self.program.successes for pair in comparisons(self._analysis, end))
+        for value, node in compared:
+            signs = ("-", "") if node.operator.startswith("less") else ("", "-")
+            for side, sign in zip(node.args, signs, strict=True):
+                trees, unit = self._analysis.lowered(side, value.owner), str(side.type.dimension or NUMBER)
+                if (
+                    len(trees) == 1
+                    and unit != "s"
+                    and next(measured_subjects(self._analysis, trees[0]), None)
+                ):
+                    text = value.text[side.start : side.end]
+                    per = {"1": ""}.get(unit, f" / {unit}" if unit.isidentifier() else f" / ({unit})")
+                    return text, f"{sign}10 * delta({text}){per}"
+        return None
 
     @cached_property
     def pays_in_ordinary_steps_only(self) -> bool:
@@ -118,7 +142,7 @@ class ScenarioFacts:
             for ending in self.program.successes
             for compared in comparisons(self._analysis, ending)
             if compared.value.text[compared.node.start : compared.node.end] == comparison
-            for tree in self._sides(compared)
+            for tree in self._analysis.lowered(compared.node, compared.value.owner)
             for reading in self._readings(tree)
         }
         ordinary, _ = self._analysis.reward.split_by_end()
@@ -140,27 +164,6 @@ class ScenarioFacts:
         price = total_range(final, reward.ranges_at(ending))
         return price.low if price.is_single else None
 
-    @cached_property
-    def _success_trees(self) -> list[Scalar]:
-        trees: list[Scalar] = []
-        for ending in self.program.successes:
-            compared = [
-                tree for comparison in comparisons(self._analysis, ending) for tree in self._sides(comparison)
-            ]
-            if not compared and ending.foreign is None:
-                compared = list(self._analysis.scalars(ending))
-            trees += compared
-        goal = self.program.agent.goal
-        return [*trees, *(goal.achieved.scalars if goal is not None else ())]
-
-    def _sides(self, comparison: ConditionComparison) -> list[Scalar]:
-        """Return the values on both sides of a comparison."""
-        return [
-            tree
-            for side in comparison.node.args
-            for tree in self._analysis.lowered(side, comparison.value.owner)
-        ]
-
     def _readings(self, tree: Scalar) -> Iterator[int]:
         """Yield the values of the world and of sensors that a value is computed from, as numbers of
         `Analysis.identity`."""
@@ -179,11 +182,6 @@ class ScenarioFacts:
             return "true" if value else "false"
         shown = number.low + (value + 1) / 2 * (number.high - number.low)
         return quantity_text(shown, self.units.of_entry(number.full_name, number.unit))
-
-
-_CODE = Permissions(code=True)
-"""The permissions for reading a scenario that names Python functions. Making a world checks again whether
-these may run."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,13 +217,14 @@ def linted_scenario(run: Run) -> LintedScenario:
     further = [f"--set={text}" for text in overrides]
     name = next(iter(record.inputs), RESOLVED_NAME)
     original, copy, source = Path(record.source), folder / name, named_source(record.source)
+    code = Permissions(code=True)  # Making a world checks again whether Python functions may run.
     is_same = _digest(original) == record.inputs.get(name)
     places = [
-        (Source(SourceKind.SCENARIO, str(copy), copy, copy, _CODE), [str(copy), *further]),
+        (Source(SourceKind.SCENARIO, str(copy), copy, copy, code), [str(copy), *further]),
         (replace(Source.kept(folder), scenario=copy), [str(copy), "--allow-path", str(folder), *further]),
     ]
     if is_same:
-        own = Source(SourceKind.SCENARIO, source, original, original, _CODE)
+        own = Source(SourceKind.SCENARIO, source, original, original, code)
         places.insert(0, (own, [source, *further]))
     compiled, arguments = run.compiled, [str(run.path / RESOLVED_NAME)]
     for place, words in places:

@@ -324,8 +324,13 @@ def some_starts_fail(evidence: TrainingEvidence) -> Numbers | None:
         for value in effects.values()
         if value.has_effect or _chance(value.parts) < _CHANCE / len(effects)
     )
-    drawn = next((value for value in differing if _is_apart(value.parts)), None)
-    if drawn is None:
+    apart = (
+        value  # whose worst part succeeds less than half as often as the best one, by their intervals
+        for value in differing
+        if min(part.success_interval[1] for part in value.parts)
+        < 0.5 * max(part.success_interval[0] for part in value.parts)
+    )
+    if (drawn := next(apart, None)) is None:
         return None
     worst, best = (choose(drawn.parts, key=lambda part: part.success_rate) for choose in (min, max))
     shares = [f"{_range(part, drawn.label)} {rate_text(part.success_rate)}" for part in drawn.parts]
@@ -384,14 +389,6 @@ def _chance(parts: Sequence[DrawnPart]) -> float:
     )
 
 
-def _is_apart(parts: Sequence[DrawnPart]) -> bool:
-    """Return whether the worst part succeeds less than half as often as the best one, considering their
-    intervals."""
-    return min(part.success_interval[1] for part in parts) < 0.5 * max(
-        part.success_interval[0] for part in parts
-    )
-
-
 def _range(part: DrawnPart, label: DrawLabel) -> str:
     text = label.range_text(part)
     return f"from {text.replace(' .. ', ' to ')}" if " .. " in text else text
@@ -417,40 +414,47 @@ def _far_apart(better: SuccessRate, worse: SuccessRate) -> tuple[SuccessRate, Su
 
 
 def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
-    flat, count = float(np.ptp(evidence.episodes.returns)) < 1e-9, int(evidence.episodes.successes.sum())
+    returns, count = evidence.episodes.returns, int(evidence.episodes.successes.sum())
     late = {name: float(last_quarter(curve).mean()) for name, curve in evidence.term_curves.items()}
     paid = {name: max(0.0, mean) for name, mean in late.items()}
     name, whole = max(paid, key=lambda term: paid[term], default=""), sum(paid.values())
     share = paid[name] / whole if whole else 0.0
-    terms, though = evidence.facts.terms_towards_success, ""
-    remedy = "Add a reward term for progress towards success,"
-    if terms:
+    facts, program, is_flat = evidence.facts, evidence.program.agent, float(np.ptp(returns)) < 1e-9
+    terms, title, though = facts.terms_towards_success, "the training has seen hardly any success", ""
+    likelihood, settings = 0.7 if evidence.is_mature else 0.45, dict[str, str]()
+    remedy = "Add a reward term for progress towards success"
+    if facts.unpaid_quantity is not None:
+        quantity, pays = facts.unpaid_quantity
+        title, term = f"no reward term depends on `{quantity}`", f"towards_{program.success[0]}"
+        though, remedy = f", and {title}", f"Add `{term}: {pays}` to `reward`"
+        likelihood, settings = 0.94 if evidence.is_mature else likelihood, {f"reward.{term}": pays}
+    elif share >= 0.8 and evidence.return_trend.direction != "rises":
+        though = (
+            f", and '{name}' gives {rate_text(share)} of the positive reward of late episodes: the policy is"
+            " in a local optimum of this term"
+        )
+        text = next(term.text for term in program.reward if term.name == name)
+        lead = f"Make '{name}' lead around obstacles, for example with path_distance"
+        remedy = f"Make success earn more than '{name}' can" if "path_distance" in text else lead
+    elif terms:
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if terms[0] in late:
             others = sum(mean for term, mean in late.items() if term != terms[0])
             mean, rest = number_text(late[terms[0]], 3), number_text(others, 3)
             remedy += f" (per late episode it gives {mean}, and they give {rest})"
-        remedy += " and raise it,"
-    if share >= 0.8 and evidence.return_trend.direction != "rises":
-        though = (
-            f", and '{name}' gives {rate_text(share)} of the positive reward of late episodes: the policy is"
-            " in a local optimum of this term"
-        )
-        text = next(term.text for term in evidence.program.agent.reward if term.name == name)
-        straight = "for example with path_distance instead of a straight distance"
-        lead = f"Make '{name}' lead around obstacles, {straight},"
-        remedy = f"Make success earn more than '{name}' can," if "path_distance" in text else lead
-    uncertain = 0.7 if evidence.is_mature else 0.45
+        remedy += " and raise it"
     return {
-        "likelihood": 0.93 if flat else uncertain,
+        "likelihood": max(likelihood, 0.93 if is_flat else 0.0),
+        "title": title,
+        "settings": settings,
         "episodes": len(evidence.episodes),
         "count": count,
         "seen": f"Only {count}" if count else "None",
         "verb": "are" if count > 1 else "is",
         "where": f" in stage '{evidence.stage}'" if evidence.stage else "",
-        "ending": " or ".join(evidence.program.agent.success or ("goal_reached",)),
-        "spread": float(evidence.episodes.returns.std()),
-        "mean": float(evidence.episodes.returns.mean()),
+        "ending": " or ".join(program.success or ("goal_reached",)),
+        "spread": float(returns.std()),
+        "mean": float(returns.mean()),
         "term": name if whole else None,
         "term_share": share,
         "though": though,
@@ -504,7 +508,12 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
     if len(missed) < _MIN_EPISODES:
         return None
     ending = Counter(name for _, name, _ in missed).most_common(1)[0][0]
-    pairs = [(trace, _without_clocks(leaves)) for trace, name, leaves in missed if name == ending]
+    # Comparisons of the time are true at the end of each long episode.
+    pairs = [
+        (trace, [leaf for leaf in leaves if not any(map(_CLOCKS.fullmatch, leaf.sides))])
+        for trace, name, leaves in missed
+        if name == ending
+    ]
     leaves = pairs[0][1]
     if len(leaves) < 2 or len(pairs) < _MIN_EPISODES:
         return None
@@ -535,11 +544,6 @@ def common_miss(traces: Sequence[Trace]) -> MissedCondition | None:
         episodes=episodes,
         of=len(pairs),
     )
-
-
-def _without_clocks(leaves: Sequence[Comparison]) -> list[Comparison]:
-    """Return the comparisons without those of the time, which are true at the end of each long episode."""
-    return [leaf for leaf in leaves if not any(_CLOCKS.fullmatch(side) for side in leaf.sides)]
 
 
 def missed_condition(evidence: TrainingEvidence) -> Numbers | None:

@@ -146,8 +146,11 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
             if words & _OF_LEARNING
             else _parameters(checked, words, asked, change.amount)
         )
-    rest = change.rest if change is not None else set[str]()
-    numbers = {word for word in rest if word[0].isdigit() or word in _FRACTIONS}  # those of names
+    numbers = {  # those of names
+        word
+        for word in (change.rest if change is not None else ())
+        if word[0].isdigit() or word in _FRACTIONS
+    }
     return [
         suggestion
         if not words & _QUESTIONS and numbers <= _words(suggestion.path) and _compiles(checked, suggestion)

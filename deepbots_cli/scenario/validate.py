@@ -7,7 +7,7 @@ passes get all valid entries and nothing is reported twice.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from dataclasses import replace
 from itertools import takewhile
@@ -43,7 +43,7 @@ _MAX_ROUNDS = 16
 _MAX_SHOWN_CHARACTERS = 40
 
 _ONLY_SPACE = r"\s*:(\s|#[^\n]*)*"
-_END_OF_LINE = r"( *:)?[ \t]*(#[^\n]*)?\n *"
+_END_OF_LINE = r"( *:)?[ \t]*(#[^\n]*)?\n([ \t]*#[^\n]*\n)* *"
 _LINE = r"(?m)^(?=[^\n])"
 _OWN_SECTION_HELP = "move it to the top level: indent this key, and its contents with it, by one level less"
 # Stand-ins for required sections that had findings, so that the other sections are still checked.
@@ -368,14 +368,18 @@ def _merge_outdented_entries(
         entries = list(holder.entries.values())
         following = entries[list(holder.entries).index(str(name)) :]
         moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023
-        owner, spaces = _section_above(holder, following[0].key)
-        if owner is None or not moved or any(problem.path == (*path, owner.text) for problem in problems):
-            continue
-        if not _fits(data, path, owner.text, moved, errors):
+        at_fault = {problem.path for problem in problems}
+        fitting = (
+            (section[-1], spaces)
+            for section, spaces in _sections_above(path, holder, following[0].key)
+            if section not in at_fault and _fits(data, path, section, moved, errors)
+        )
+        section_above = next(fitting, None) if moved else None
+        if section_above is None:
             continue
         names = {entry.key.text for entry in moved}
         problems = [
-            _Problem((*path, name), _unindented(owner, moved, spaces)),
+            _Problem((*path, name), _unindented(moved, *section_above)),
             *(each for each in problems if not (_is_below(each, path) and each.path[len(path)] in names)),
         ]
     return problems
@@ -385,23 +389,30 @@ def _is_below(problem: _Problem, path: Sequence[str | int]) -> bool:
     return len(problem.path) > len(path) and problem.path[: len(path)] == tuple(path)
 
 
-def _section_above(holder: nodes.MappingNode, key: ScalarNode) -> tuple[ScalarNode | None, int]:
-    """Return the key of the section that ends, or is empty, right above a key, and by how many spaces the key
-    is indented less than the keys of this section."""
+def _sections_above(
+    path: Sequence[str | int], holder: nodes.MappingNode, key: ScalarNode
+) -> Iterator[tuple[NodePath, int]]:
+    """Yield the paths of the sections that end, or are empty, right above a key of the mapping `holder` at
+    `path`, the outermost first, and by how many spaces the key is indented less than the keys of each."""
     source = key.span.source
     for owner in holder.keys_without_value:
         if owner.span.source is source and re.compile(_ONLY_SPACE).fullmatch(
             source.text, owner.span.end, key.span.start
         ):
-            return owner, 2
+            yield (*path, owner.text), 2
     for entry in holder.entries.values():
-        section = entry.value
-        if entry.key.span.source is source and isinstance(section, nodes.MappingNode) and section.entries:
-            spaces = _column(next(iter(section.entries.values())).key) - _column(key)
-            is_right_above = re.compile(_END_OF_LINE).fullmatch(source.text, section.span.end, key.span.start)
-            if is_right_above and spaces > 0 and not section.span.text.startswith("{"):
-                return entry.key, spaces
-    return None, 0
+        place = tuple(path)
+        while (
+            entry.key.span.source is source
+            and isinstance(section := entry.value, nodes.MappingNode)
+            and section.entries
+            and not section.span.text.startswith("{")
+            and re.compile(_END_OF_LINE).fullmatch(source.text, section.span.end, key.span.start)
+        ):
+            place, inner = (*place, entry.key.text), list(section.entries.values())
+            if (spaces := _column(inner[0].key) - _column(key)) > 0:
+                yield place, spaces
+            entry = inner[-1]
 
 
 def _column(node: Node) -> int:
@@ -409,32 +420,34 @@ def _column(node: Node) -> int:
 
 
 def _fits(
-    data: Any, path: Sequence[str | int], owner: str, entries: Sequence[nodes.Entry], errors: int
+    data: Any, path: Sequence[str | int], section: NodePath, entries: Sequence[nodes.Entry], errors: int
 ) -> bool:
-    """Return whether there are fewer errors, and none of the entries, if they are moved into the section
-    `owner` beside them."""
+    """Return whether there are fewer errors, and none of the entries, if they are moved from the mapping at
+    `path` into the one at `section`, which is below it."""
     data = holder = deepcopy(data)
     for step in path:
         holder = holder[step]
-    section = holder.setdefault(owner, {})
+    target = holder
+    for step in section[len(path) :]:
+        target = target.setdefault(step, {})
     names = {entry.key.text for entry in entries}
-    if not names.isdisjoint(section):
+    if not names.isdisjoint(target):
         return False
-    section |= {name: holder.pop(name) for name in names}
+    target |= {name: holder.pop(name) for name in names}
     try:
         Scenario.model_validate(data, context={LENIENT: False})
     except ValidationError as invalid:
         left = [error["loc"] for error in invalid.errors(include_url=False, include_input=False)]
-        inside = (*path, owner)
+        depth = len(section)
         return len(left) < errors and not any(
-            loc[: len(inside)] == inside and names.intersection(map(str, loc[len(inside) :])) for loc in left
+            loc[:depth] == section and names.intersection(map(str, loc[depth:])) for loc in left
         )
     return True
 
 
-def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], spaces: int) -> Finding:
-    source = owner.span.source
+def _unindented(entries: Sequence[nodes.Entry], section: str | int, spaces: int) -> Finding:
     first = entries[0].key
+    source = first.span.source
     more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     begin = source.text.rfind("\n", 0, first.span.start) + 1
     starts = [
@@ -445,7 +458,7 @@ def _unindented(owner: ScalarNode, entries: Sequence[nodes.Entry], spaces: int) 
     return Finding(
         "DB101",
         first.span,
-        f"`{first.text}`{more} {'are' if more else 'is'} not indented below `{owner.text}`",
+        f"`{first.text}`{more} {'are' if more else 'is'} not indented below `{section}`",
         f"indent {'them' if more else 'it'} by {counted(spaces, 'space')}: `{' ' * spaces}{first.text}: ...`",
         fix=Fix(tuple(Edit(Span(source, start, start), " " * spaces) for start in starts), safe=False),
     )

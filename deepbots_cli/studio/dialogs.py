@@ -20,7 +20,7 @@ from deepbots_cli.cli.starters.draft import Template, template_summaries
 from deepbots_cli.cli.starters.first_scenario import DroppedRobot, suitable_tasks
 from deepbots_cli.document.shipped import shipped_summaries
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write
+from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.robots.build import Build
 from deepbots_cli.robots.kinds import NOUNS, judge
 from deepbots_cli.studio.layout import ICONS
@@ -33,6 +33,7 @@ _ABOUT = (
 )
 PICTURES = Path(__file__).with_name("pictures")
 """The folder of pictures by name, and of the times of trainings, which `tools/gallery_pictures.py` makes."""
+_MAX_ROBOT_BYTES = 10 << 20
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,60}")
 
 
@@ -132,6 +133,61 @@ def _free_name(session: Session, name: str) -> str:
     return next(candidate for candidate in names if not (session.folder / f"{candidate}.yaml").exists())
 
 
+async def edit_robot(session: Session, path: Path) -> None:
+    """Show a robot file of the folder in an editor, and write it once it has no errors."""
+    try:
+        content = await _edited_robot(session, path, read_at_most(path, _MAX_ROBOT_BYTES), opens=True)
+        if content is not None:
+            with atomic_write(path) as draft:
+                draft.write_bytes(content)
+            session.shown.say(f"saved {path.name}")
+    except OSError as error:
+        session.shown.say(str(error), is_warning=True)
+
+
+async def _edited_robot(session: Session, path: Path, content: bytes, *, opens: bool) -> bytes | None:
+    """Return the content of a robot file without errors, which the person corrects; None if they leave it.
+    With `opens`, they may change a file without errors."""
+    first = await _read_robot(session, path, content)
+    if first.build is not None and not (opens or first.problem):
+        return content
+
+    def show(text: str, robot: DroppedRobot) -> None:
+        editor.set_value(text)
+        editor.reveal_line(robot.line)
+        problem.set_text(robot.problem)
+        fixes.clear()
+        with fixes:
+            for title, corrected in robot.fixes.items():
+                ui.button(title, on_click=partial(check, corrected)).props("dense outline no-caps")
+
+    async def check(text: str) -> None:
+        robot = await _read_robot(session, path, text.encode())
+        if robot.build is not None:
+            dialog.submit(text.encode())
+        show(text, robot)
+
+    # While a dialog grows, which is the default, the editor measures wrong heights of its lines.
+    with (
+        ui.dialog().props('aria-label="Robot file" transition-show=fade') as dialog,
+        ui.card().classes("studio-dialog"),
+    ):
+        ui.label(path.name).classes("studio-heading")
+        problem = ui.label("").classes("studio-problem studio-text-line")
+        fixes = ui.element("div").classes("studio-bar")
+        editor = ui.codemirror(language="XML", theme="githubLight", line_wrapping=True).classes("studio-wide")
+        # The places of the fixes are those of the text that was checked.
+        editor.on_value_change(fixes.clear)
+        _add_buttons(
+            dialog, "Check again" if first.build is None else "Use this text", lambda: check(editor.value)
+        )
+    dialog.on("show", lambda: editor.reveal_line(first.line))
+    dialog.open()
+    show(content.decode("utf-8", "replace"), first)
+    corrected: bytes | None = await dialog
+    return corrected
+
+
 class RobotUpload:
     """The control for a robot file, which is checked and corrected before it is written into the folder."""
 
@@ -146,9 +202,9 @@ class RobotUpload:
                     "a robot file ends in .urdf, and has up to 10 MB", is_warning=True
                 ),
                 auto_upload=True,
-                max_file_size=10 << 20,
-            )
-            self._upload.props('accept=".urdf" flat bordered').classes("studio-wide")
+                max_file_size=_MAX_ROBOT_BYTES,
+            ).props('accept=".urdf" flat bordered')
+            self._upload.classes("studio-wide")
 
     async def _take(self, event: events.UploadEventArguments) -> None:
         self._upload.reset()  # so that the same file can be dropped again
@@ -156,7 +212,8 @@ class RobotUpload:
         path = self._session.folder / f"{stem}.urdf"
         try:
             # The editor counts the end of a line as one character.
-            content = await self._corrected(path, (await event.file.read()).replace(b"\r\n", b"\n"))
+            dropped = (await event.file.read()).replace(b"\r\n", b"\n")
+            content = await _edited_robot(self._session, path, dropped, opens=False)
             if content is not None and await self._may_write(path, content):
                 with atomic_write(path) as draft:
                     draft.write_bytes(content)
@@ -175,45 +232,6 @@ class RobotUpload:
             ui.label(f"{', '.join(users)} uses the present {path.name}, which differs from this file.")
             _add_buttons(dialog, "Replace it", lambda: dialog.submit(True))
         return not users or bool(await dialog)
-
-    async def _corrected(self, path: Path, content: bytes) -> bytes | None:
-        """Return the content of a robot file without errors, which the person corrects; None if they leave
-        it."""
-        first = await _read_robot(self._session, path, content)
-        if first.build is not None:
-            return content
-
-        async def check(text: str) -> None:
-            robot = await _read_robot(self._session, path, text.encode())
-            if robot.build is not None:
-                dialog.submit(text.encode())
-            editor.set_value(text)
-            editor.reveal_line(robot.line)
-            problem.set_text(robot.problem)
-            fixes.clear()
-            with fixes:
-                for title, corrected in robot.fixes.items():
-                    ui.button(title, on_click=partial(check, corrected)).props("dense outline no-caps")
-
-        # While a dialog grows, which is the default, the editor measures wrong heights of its lines.
-        with (
-            ui.dialog().props('aria-label="Errors" transition-show=fade') as dialog,
-            ui.card().classes("studio-dialog"),
-        ):
-            ui.label(f"{path.name} has errors").classes("studio-heading")
-            problem = ui.label("").classes("studio-problem studio-text-line")
-            fixes = ui.element("div").classes("studio-bar")
-            editor = ui.codemirror(language="XML", theme="githubLight", line_wrapping=True).classes(
-                "studio-wide"
-            )
-            # The places of the fixes are those of the text that was checked.
-            editor.on_value_change(fixes.clear)
-            _add_buttons(dialog, "Check again", lambda: check(editor.value))
-        dialog.on("show", lambda: editor.reveal_line(first.line))
-        dialog.open()
-        await check(content.decode("utf-8", "replace"))
-        corrected: bytes | None = await dialog
-        return corrected
 
 
 class StartPage:
@@ -238,8 +256,9 @@ class StartPage:
             .on("keydown.escape", leave) as self.element,
             ui.element("div").classes("studio-start-inside"),
         ):
-            self._leave = ui.button("Back to the text", icon=ICONS["back"], on_click=leave)
-            self._leave.props("dense outline no-caps")
+            self._leave = ui.button("Back to the text", icon=ICONS["back"], on_click=leave).props(
+                "dense outline no-caps"
+            )
             ui.label("What do you want to begin with?").classes("studio-title").props(
                 'role="heading" aria-level="2"'
             )

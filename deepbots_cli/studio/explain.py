@@ -187,8 +187,11 @@ def show_explanation(first: str, of_text: OfText, meaning: str = "") -> None:
 
     with ui.dialog().props('aria-label="Explain"') as dialog, ui.card().classes("studio-dialog"):
         with ui.row().classes("studio-wide"):
-            word = ui.input("A word, a code, or what you want", placeholder="make the pole longer")
-            word.classes("studio-grow").on("keydown.enter", show_typed)
+            word = (
+                ui.input("A word, a code, or what you want", placeholder="make the pole longer")
+                .classes("studio-grow")
+                .on("keydown.enter", show_typed)
+            )
             ui.button("Explain", on_click=show_typed).props("no-caps unelevated")
             back = ui.button("Back", on_click=return_to_earlier).props("flat no-caps disable")
             ui.button("Close", on_click=dialog.close).props("flat no-caps")

@@ -102,7 +102,25 @@ class Language:
 
     def findings(self, path: Path) -> tuple[EditorFinding, ...]:
         """Return the findings of the last analysis of a file, errors first."""
-        return self._findings.get(path, ())
+        findings = (*self._findings.get(path, ()), *self._of_robots(path))
+        return tuple(sorted(findings, key=lambda row: (row.severity != "error", row.start)))
+
+    def _of_robots(self, path: Path) -> Iterator[EditorFinding]:
+        """Yield the findings in the robot files of a scenario, at the line that names the file."""
+        if (analysis := self._analysis(path)) is None:
+            return
+        for finding in analysis.findings:
+            name, line = Path(finding.span.source.name).name, finding.span.start_position.line
+            named = re.compile(rf"(?m)^[^#\n]*{re.escape(name)}") if name.endswith(".urdf") else None
+            if named is not None and (match := named.search(analysis.document.text)):
+                number, row = analysis.document.text.count("\n", 0, match.start()), match[0]
+                yield EditorFinding(
+                    (number, len(row) - len(row.lstrip())),
+                    (number, len(row)),
+                    finding.severity,
+                    finding.code,
+                    f"{name}, line {line}: {finding.headline}\nhelp: {finding.help}",
+                )
 
     def checked_revision(self, path: Path) -> int:
         """Return the revision of the file that its last analysis read; 0 before the first one."""
@@ -235,9 +253,7 @@ class Language:
         document = self._workspace.documents.get(uri)
         if document is None:
             return
-        findings = (_finding(each, uri) for each in shown)
-        rows = sorted(findings, key=lambda row: (row.severity != "error", row.start))
-        self._findings[document.path] = tuple(rows)
+        self._findings[document.path] = tuple(_finding(each, uri) for each in shown)
         self._checked[document.path] = version or 0
         self._on_findings(document.path)
 

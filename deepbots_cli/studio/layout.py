@@ -135,8 +135,11 @@ class TaskOutput:
             if sentence:
                 with ui.element("summary"):
                     ui.label("Details")
-            self._output = ui.element("pre").classes("studio-output")
-            self._output.props('tabindex="0" role="region" aria-label="Output"')
+            self._output = (
+                ui.element("pre")
+                .classes("studio-output")
+                .props('tabindex="0" role="region" aria-label="Output"')
+            )
         with self._output:
             self._text = ui.label("")
         self._shown: tuple[object, ...] = ()
@@ -229,17 +232,19 @@ class CommandTab:
     def __init__(self, session: Session) -> None:
         self._session = session
         with ui.element("div").classes("studio-bar"):
-            self._choice = ui.select({}, on_change=lambda event: self._choose(event.value)).props(
-                'dense outlined aria-label="Command"'
+            self._choice = (
+                ui.select({}, on_change=lambda event: self._choose(event.value))
+                .props('dense outlined aria-label="Command"')
+                .classes("studio-files studio-grow")
             )
-            self._choice.classes("studio-files studio-grow")
             self._copy = ui.button("Copy", on_click=lambda: ui.clipboard.write(self._command.text))
-            self._copy.props("dense outline no-caps")
             self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_command)
-            self._stop.props("dense outline no-caps")
+            for button in (self._copy, self._stop):
+                button.props("dense outline no-caps")
         self._command: ui.label = ui.label("").classes("studio-command")
-        self._empty = ui.label("No command has run yet. Try, Test and Train start one.")
-        self._empty.classes("studio-empty")
+        self._empty = ui.label("No command has run yet. Try, Test and Train start one.").classes(
+            "studio-empty"
+        )
         self._output = TaskOutput()
 
     def update(self) -> None:

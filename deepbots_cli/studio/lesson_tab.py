@@ -17,12 +17,27 @@ from deepbots_cli.studio.session import Session
 
 _ON_THE_PAGE = {
     "course check": "press Check",
+    "runs": "open Runs",
+    r"lint \w+\.yaml": "read the findings below the text",
+    r"explain (\w+)": r"press Explain ... and write \1",
     r"train \w+\.yaml": "press Train",
-    r"view \S+ --driver (\w+) --open": r"choose Driver: \1",
+    r"(?:view|try) \w+\.yaml --driver (?!zero)(\w+)(?: --open| --episodes \d+)?": r"choose Driver: \1",
+    r"play \w+\.yaml --open": "choose Driver: you",
+    r"render \w+\.yaml .*--rays.*": "look at the robot and its rays",
+    r"view runs/\S+ --open": "select it in Runs and press Watch",
+    r"eval runs/\S+(?: --episodes \d+)?": "select it in Runs and press Evaluate",
+    r"compare runs/\S+ runs/\S+": "select both in Runs and press Compare",
 }
 """What does the same on the page as a command of a text."""
 _TYPED_S = 0.6
 """The time in s after which the text that was typed last has arrived from the browser."""
+
+
+def with_buttons(text: str) -> str:
+    """Return the text of a lesson, in which a command names what does the same on the page."""
+    for command, words in _ON_THE_PAGE.items():
+        text = re.sub(rf"(?m)^\$ deepbots {command}$", rf"\g<0>  # or {words}", text)
+    return text
 
 
 class LessonTab:
@@ -49,9 +64,7 @@ class LessonTab:
             text = _with_pictures(lesson).replace(
                 "```yaml part", "```yaml"
             )  # which the renderer does not know
-            for command, words in _ON_THE_PAGE.items():
-                text = re.sub(rf"(?m)^\$ deepbots {command}$", rf"\g<0>  # or {words}", text)
-            ui.markdown(text).classes("studio-answer studio-lesson-text")
+            ui.markdown(with_buttons(text)).classes("studio-answer studio-lesson-text")
             self._steps = ui.element("div").classes("studio-lesson-steps")
         with self._steps:
             for name, step in lesson.steps.items():

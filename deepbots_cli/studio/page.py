@@ -12,7 +12,7 @@ from nicegui import ui
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.suggestions import Suggestion
-from deepbots_cli.studio.dialogs import Kind, StartPage, new_scenario
+from deepbots_cli.studio.dialogs import Kind, StartPage, edit_robot, new_scenario
 from deepbots_cli.studio.editor import Editor, FindingList
 from deepbots_cli.studio.explain import OfText, show_explanation
 from deepbots_cli.studio.files import OpenFile
@@ -93,7 +93,7 @@ class StudioPage:
             "robot": (self._robot.update,),
             "training": (self._training.update, self._robot.show_offer),
             "runs": (self._runs.update, self._robot.update_sources),
-            "task": (self._training.update, self._runs.update_output, self._command.update),
+            "task": (self._training.update, self._runs.result.update, self._command.update),
             "notice": (lambda: self._notices.show(shown.notice, is_warning=shown.is_warning),),
             "tab": (lambda: self._tabs.set_value(shown.tab),),
         }
@@ -124,14 +124,16 @@ class StudioPage:
     def _add_header(self) -> None:
         with ui.element("header").classes("studio-header"):
             ui.label("deepbots").classes("studio-name").props('role="heading" aria-level="1"')
-            self._files = ui.select([], on_change=lambda event: self._choose(event.value)).props(
-                'dense outlined aria-label="File"'
+            self._files = (
+                ui.select([], on_change=lambda event: self._choose(event.value))
+                .props('dense outlined aria-label="File"')
+                .classes("studio-files")
             )
-            self._files.classes("studio-files")
-            self._save = ui.button("Save", on_click=self._save_file).props(
-                'dense no-caps unelevated title="Ctrl+S"'
+            self._save = (
+                ui.button("Save", on_click=self._save_file)
+                .props('dense no-caps unelevated title="Ctrl+S"')
+                .classes("studio-save")
             )
-            self._save.classes("studio-save")
             ui.button("New ...", on_click=lambda: self._show_areas(starts=True)).props("dense flat no-caps")
             ui.button("Explain ...", on_click=self._explain_here).props(
                 'dense flat no-caps title="the word at the cursor (F1)"'
@@ -139,8 +141,11 @@ class StudioPage:
             self._status = ui.label("").classes("studio-status studio-state").props('role="status"')
             self._of_text = (self._files, self._save, self._status)
             self._notices = Notices()
-            self._theme = ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
-            self._theme.props("dense flat no-caps").classes("studio-theme")
+            self._theme = (
+                ui.button("Dark", icon=ICONS["dark"], on_click=self._switch_dark)
+                .props("dense flat no-caps")
+                .classes("studio-theme")
+            )
 
     def _add_text(self) -> None:
         self._banner = ui.element("div").classes("studio-banner").props('role="alert"')
@@ -181,6 +186,8 @@ class StudioPage:
         options = {str(path): session.name_of(path) for path in (*session.scenarios(), *opened)}
         for path in session.language.files_of(session.current) if session.current else ():
             options.setdefault(str(path), f"{session.name_of(path)} (read by it)")
+        robots = (path for path in sorted(session.folder.glob("*.urdf")) if not path.is_symlink())
+        options |= {str(path): f"{path.name} (robot file)" for path in robots}
         self._files.set_options(options, value=str(self._file.path) if self._file else None)
         if has_file != (self._file is not None):
             self._show_areas(starts=self._file is None)
@@ -259,15 +266,9 @@ class StudioPage:
             self._editor.underline(file.revision, findings)
         errors = sum(finding.severity == "error" for finding in findings)
         warnings = len(findings) - errors
-        if language.checked_revision(file.path) == 0:
-            text = "checking ..."
-        elif not findings:
-            text = "no mistakes"
-        else:
-            text = ", ".join(
-                counted(number, word) for number, word in ((errors, "error"), (warnings, "warning")) if number
-            )
-        self._status.set_text(text)
+        numbers = ((errors, "error"), (warnings, "warning"))
+        text = ", ".join(counted(number, word) for number, word in numbers if number) or "no mistakes"
+        self._status.set_text(text if language.checked_revision(file.path) else "checking ...")
         kind = findings[0].severity if findings else "good"  # errors come first
         if not errors:
             self._shown.withdraw(HAS_ERRORS)
@@ -308,9 +309,13 @@ class StudioPage:
             self._shown.withdraw()
             self._guarded(lambda: self._session.save(file))
 
-    def _choose(self, path: str | None) -> None:
+    async def _choose(self, path: str | None) -> None:
         """Show the file that was chosen; a scenario of the folder also gets the robot."""
         if path is None or (self._file is not None and path == str(self._file.path)):
+            return
+        if path.endswith(".urdf"):
+            self._files.set_value(str(self._file.path) if self._file is not None else None)
+            await edit_robot(self._session, Path(path))
             return
 
         def choose() -> None:
@@ -337,8 +342,8 @@ class StudioPage:
     def _show_scenario(self, path: Path) -> None:
         """Show the robot and the trainings of a scenario, and close the results of another one."""
         self._session.show(path)
-        self._runs.close_result()
-        self._training.close_result()
+        self._runs.result.close()
+        self._training.result.close()
 
     async def _new(self, kind: Kind, origin: str) -> None:
         path = await new_scenario(self._session, kind, origin)
@@ -407,7 +412,5 @@ class StudioPage:
             return
         self._is_dark = dark
         self._theme.set_text("Light" if dark else "Dark")
-        self._editor.set_dark(self._is_dark)
-        self._training.set_dark(self._is_dark)
-        self._runs.set_dark(self._is_dark)
-        self._robot.set_dark(self._is_dark)
+        for part in (self._editor, self._training, self._runs, self._robot):
+            part.set_dark(dark)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,6 +60,10 @@ _DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>
     (props.opt.label.startsWith("{POLICY_OF}") ? "what the run has learned, in the saved text" :
     "a script of the scenario: rules written by hand") }}}}</q-item-label></q-item-section></q-item>"""
 """The entry of a driver in the list, with a sentence about it."""
+_PICTURE = (
+    "this browser has no WebGL: it shows a picture of the start of an episode, which is drawn again some"
+    " seconds after you save"
+)
 _MAX_RUNS = 30
 """The number of runs, the newest ones, whose policies can be chosen."""
 
@@ -98,8 +103,9 @@ class RobotPane:
                 ' aria-label="Keyboard into the page of the robot"'
             )
             enter.classes("studio-enter").on("click", js_handler=_ENTER)
-            self._follow = ui.button("Follow the training", on_click=lambda: session.shown.follow(True))
-            self._follow.props('dense outline no-caps title="show the newest policy of the training"')
+            self._follow = ui.button(
+                "Follow the training", on_click=lambda: session.shown.follow(True)
+            ).props('dense outline no-caps title="show the newest policy of the training"')
             self._robot_text = ui.label("").classes("studio-status").props('role="status"')
         with ui.element("div").classes("studio-scene"):
             self._frame = ui.element("iframe").props('title="The robot" tabindex="-1"')
@@ -185,13 +191,16 @@ class RobotPane:
     def _show_picture(self) -> None:
         """Show a picture in place of the live page, for a browser that cannot draw it."""
         robot = self._session.robot
+        if not robot.is_current:  # the picture and the words are those of before
+            return
         key = (self._session.shown.source, robot.state.loaded if robot.state else 0)
         if key != self._picture_key:
             self._picture_key = key
             self._frame.set_visibility(False)
             self._picture.set_visibility(True)
-            self._picture.props(f'src="studio/picture?change={abs(hash(key)) % 10**8}"')
-            self._robot_text.set_text("this browser has no WebGL, so the page shows a picture of the start")
+            # The browser keeps a picture of the same address.
+            self._picture.props(f'src="studio/picture?change={time.time_ns()}"')
+        self._robot_text.set_text(_PICTURE)
 
     def _show_keys(self, state: RobotState | None) -> None:
         """Show below the scene which keys drive, while a person does."""

@@ -82,7 +82,11 @@ _OPTIONAL = ("success", "solved", "scenario")
 
 
 class RunsTab:
-    """The runs of the folder, with what can be done with one or two of them."""
+    """The runs of the folder, with what can be done with one or two of them.
+
+    Attributes:
+        result: The place for what a button has brought.
+    """
 
     def __init__(
         self,
@@ -130,13 +134,13 @@ class RunsTab:
         self._show_buttons()
 
     def _add_table(self) -> None:
-        self._result = Result("Back to the runs")
-        self._table = ui.table(
-            columns=self._columns, rows=[], row_key="name", selection="multiple", pagination=0
+        self.result = Result("Back to the runs")
+        self._table = (
+            ui.table(columns=self._columns, rows=[], row_key="name", selection="multiple", pagination=0)
+            .props("dense flat wrap-cells hide-pagination hide-selected-banner")
+            .props('no-data-label="No runs yet: press Train in the tab Train"')
+            .classes("studio-table")
         )
-        self._table.props("dense flat wrap-cells hide-pagination hide-selected-banner")
-        self._table.props('no-data-label="No runs yet: press Train in the tab Train"')
-        self._table.classes("studio-table")
         for slot, name in (("header", "'select all runs'"), ("body", "`select ${props.row.name}`")):
             box = f'<q-checkbox v-model="props.selected" dense :aria-label="{name}" />'
             self._table.add_slot(f"{slot}-selection", box)
@@ -153,14 +157,6 @@ class RunsTab:
             chart.options.clear()
             chart.options.update(comparison_chart(logs, has_returns=has_returns, dark=dark))
             chart.update()
-
-    def close_result(self) -> None:
-        """Close the result that is shown, because it is about another scenario."""
-        self._result.close()
-
-    def update_output(self) -> None:
-        """Show the output of the command that was started here."""
-        self._result.update()
 
     def update(self) -> None:
         changes = self._session.run_changes
@@ -212,7 +208,7 @@ class RunsTab:
         """Enable what can be done with the selected runs."""
         names = {row["name"] for row in self._table.selected}
         if names and names != self._names:  # what is shown is of other runs
-            self._result.close()
+            self.result.close()
         for label, button in self._buttons.items():
             button.set_enabled(len(names) == (2 if label == "Compare" else 1))
 
@@ -247,14 +243,14 @@ class RunsTab:
 
     def _show_output(self, run: Path, task: Task) -> None:
         """Show the output of a command about a run."""
-        self._result.watch(task, self._fill(title_of(task), run))
+        self.result.watch(task, self._fill(title_of(task), run))
 
     def _fill(self, title: str, *runs: Path) -> ui.element:
         """Open the place for a result about runs."""
         self._names, self._compared = {run.name for run in runs}, None
         self._table.selected = [row for row in self._table.rows if row["name"] in self._names]
         self._show_buttons()
-        return self._result.fill(title)
+        return self.result.fill(title)
 
     async def compare(self, *paths: Path) -> None:
         """Show which of two runs is better, in a sentence, what differs, and their curves over each other."""
@@ -272,7 +268,7 @@ class RunsTab:
             if (log := await asyncio.to_thread(_log_or_none, folder / path)) is not None
         }
         differences, same_returns = await asyncio.to_thread(_differences, folder / one, folder / other)
-        if not self._result.shows(place):  # it was closed, or shows something newer
+        if not self.result.shows(place):  # it was closed, or shows something newer
             return
         with place:
             with ui.element("div").classes("studio-advice"):
@@ -283,14 +279,14 @@ class RunsTab:
                     ui.label("Their rewards differ, so their returns cannot be compared.")
             chart = ui.echart(comparison_chart(logs, has_returns=same_returns, dark=self._is_dark))
             self._compared = chart.classes("studio-chart studio-compared"), logs, same_returns
-        self._result.watch(task, place, sentence)
+        self.result.watch(task, place, sentence)
 
     async def diagnose(self, path: Path) -> None:
         """Show the causes of a training that does not learn, with a button that writes the advice."""
         self._shown.open_tab("Runs")
         place = self._fill(f"Looking at {path.name}, which takes some seconds ...", path)
         text, code = await self._session.commands.call(["diagnose", str(path), "--json"])
-        if not self._result.shows(place):  # it was closed, or shows something newer
+        if not self.result.shows(place):  # it was closed, or shows something newer
             return
         with self._fill(f"Diagnosis of {path.name}", path).classes("studio-advice"):
             if code:
@@ -337,11 +333,10 @@ class RunsTab:
     def _add_advised_command(self, command: list[str], output: ui.element) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
             last = command[-1].replace("_", ",")
-            button = ui.button(
+            ui.button(
                 _ADVISED_COMMANDS[command[0]].format(last),
                 on_click=lambda: self.act(lambda: self._run_advised(command, output)),
-            )
-            button.props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
+            ).props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
 
     def _add_training(self, timesteps: str, shown: set[str]) -> None:
         """Add a button that trains the scenario from the start in a new run, which can be compared with the
@@ -355,8 +350,9 @@ class RunsTab:
             self._train()
 
         number = timesteps.replace("_", ",")
-        button = ui.button(f"Train again from the start, {number} timesteps", on_click=train)
-        button.props('dense outline no-caps title="a new run, to compare with this one"')
+        ui.button(f"Train again from the start, {number} timesteps", on_click=train).props(
+            'dense outline no-caps title="a new run, to compare with this one"'
+        )
 
     def _add_advised_values(self, settings: dict[str, Any], words: str) -> None:
         """Add a button that writes values into the text; in its `words`, braces are their place. Once the
@@ -398,7 +394,7 @@ class RunsTab:
             self._shown.open_tab("Train")
         else:
             output.clear()
-            self._result.watch(task, output)
+            self.result.watch(task, output)
 
 
 def values_text(values: Mapping[str, str]) -> str:

@@ -88,7 +88,7 @@ class TrainingTab:
         self._is_dark = False
         self._drawn: object = None
         with ui.element("div").classes("studio-scroll"):
-            self._result = Result()
+            self.result = Result()
             self._add_steps()
             # A chart that is hidden when it is made has no size, and is first drawn as a narrow strip.
             self._chart_place = ui.element("div").classes("studio-chart-place")
@@ -111,19 +111,15 @@ class TrainingTab:
 
         def train() -> None:
             self._session.commands.train(self._session.saved_name(), options)
-            self._result.close()
+            self.result.close()
 
         self._guarded(train)
-
-    def close_result(self) -> None:
-        """Close the output that is shown, because it is about another scenario."""
-        self._result.close()
 
     def update(self) -> None:
         shown = self._session.shown
         training, task, is_running = shown.training, shown.training_task, shown.trains
         self._stop.set_enabled(is_running)
-        self._result.update()
+        self.result.update()
         self._follows.set_value(shown.follows)
         self._command.set_text("" if task is None else task.command)
         run = None if training is None else training.listed
@@ -198,7 +194,7 @@ class TrainingTab:
 
     def _run(self, words: list[str]) -> None:
         self._guarded(
-            lambda: self._result.watch(self._session.commands.run([*words, self._session.saved_name()]))
+            lambda: self.result.watch(self._session.commands.run([*words, self._session.saved_name()]))
         )
 
     def _stop_training(self) -> None:

@@ -138,6 +138,7 @@ def _letters(line: str) -> str:
             "timestep: 32",
             "`timestep` is not indented below `world`, but the next line is",
         ),
+        (TEXT, "-20 .. 20 deg", "20 .. -20 deg", "a range whose low end is above its high end"),
         (SCENARIO, "alive: 1", "alive:1", "expected a mapping, found the text `alive:1`"),
     ],
 )
@@ -235,6 +236,12 @@ def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text()
     moved = dict(_moved_lines(right, -2))
     assert len(moved) > 30
     assert [number for number, wrong in moved.items() if _pressed(wrong) != right] == []
+    whole = _template("wheeled")
+    further = [wrong for _, wrong in _moved_lines(whole, -4)]
+    below_a_comment = [wrong for _, wrong in _moved_lines(whole, -2) if "\nangle: b" in wrong]
+    assert len(further) > 10
+    assert len(below_a_comment) == 1
+    assert {_pressed(wrong) for wrong in further + below_a_comment} == {whole}
     apply = next(wrong for wrong in moved.values() if "\n  apply:" in wrong)
     assert [(error.headline, error.span.text) for error in _errors(apply)] == [
         ("`apply` is not indented below `cart`", "apply")

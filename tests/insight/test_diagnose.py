@@ -38,6 +38,7 @@ from deepbots_cli.learning.runs.records import write_record
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import quoted_episodes
 from deepbots_cli.rollout import Episode
+from tests.few import few
 from tests.insight.broken import BROKEN, all_causes
 from tests.insight.logs import (
     SHUTTLE,
@@ -51,6 +52,16 @@ from tests.insight.logs import (
 
 DOCS = Path(__file__).parents[2] / "docs" / "diagnose.md"
 SEED = 1
+WITH_SUCCESS = {
+    "find_and_avoid": "apart",
+    "find_ball": "apart",
+    "line_follower": "driven",
+    "pit_escape": "reach",
+    "quadruped_rough": "running_max(gone)",
+    "see_ball": "apart",
+    "tag_scripted": "apart",
+}
+"""Shipped scenarios with a success, and the quantity that it compares."""
 
 
 def test_an_evaluation_of_a_run_is_read(carriage, tmp_path):
@@ -502,6 +513,17 @@ def test_terms_towards_any_of_the_successes_count(successes):
     compiled = api.compile("cartpole", overrides=[*rewards, f"termination.success={successes}"])
     facts = ScenarioFacts(compiled.program, compiled.units)
     assert set(facts.terms_towards_success) == {"near", "bump"}
+
+
+@pytest.mark.parametrize("name", few(WITH_SUCCESS, ["pit_escape", "find_ball", "see_ball"]))
+def test_only_a_reward_without_what_the_success_measures_gets_a_term_that_compiles(name):
+    shipped = api.compile(name)
+    assert ScenarioFacts(shipped.program).unpaid_quantity is None
+    without = ScenarioFacts(api.compile(name, overrides=["reward={time: -1}"]).program)
+    quantity, term = without.unpaid_quantity
+    assert quantity == WITH_SUCCESS[name]
+    paid = api.compile(name, overrides=["reward={time: -1}", f"reward.towards={term}"])
+    assert ScenarioFacts(paid.program).terms_towards_success == ("towards",)
 
 
 def test_a_value_is_shown_in_the_unit_of_the_file():

@@ -569,7 +569,34 @@ def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(f
         page.click("Replace it")
         page.wait("!!document.querySelector('.studio-dialog input[aria-label=Name]')")
         assert (folder / "buggy.urdf").read_text("utf-8") == heavier
+
+        # The list of files opens a robot file again.
+        page.click("Cancel")
+        page.click("Back to the text")
+        page.wait(
+            "!document.querySelector('.q-dialog') && !!document.querySelector('.studio-files').offsetParent"
+        )
+        _click(page, "document.querySelector('.studio-files')")
+        page.click("buggy.urdf (robot file)", ".q-item")
+        page.wait("!!document.querySelector('.studio-dialog .cm-line')")
+        page.click("Use this text")
+        page.wait("document.querySelector('.studio-notices').innerText.includes('saved buggy.urdf')")
         assert not page.tab.errors
+
+
+def test_a_browser_without_webgl_gets_a_new_picture_after_a_save(folder, new_tab):
+    with served(folder, "mine.yaml") as studio:
+        tab = new_tab()
+        without = "HTMLCanvasElement.prototype.getContext = () => null"
+        tab.call("Page.addScriptToEvaluateOnNewDocument", source=without)
+        page = StudioTab(tab, studio.address, 1280, 720)
+        source = "document.querySelector('.studio-picture')?.getAttribute('src')"
+        first = page.wait(source, 60)
+        assert "which is drawn again" in tab.run("document.body.innerText")
+        page.click_line("  alive: 1")
+        page.type("0")
+        page.save()
+        page.wait(f"{source} != '{first}'", 60)
 
 
 def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):

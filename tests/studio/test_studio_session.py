@@ -33,6 +33,9 @@ pytest.importorskip("stable_baselines3")
 
 import deepbots_cli
 from deepbots_cli import learning
+from deepbots_cli.cli.starters.first_scenario import DroppedRobot
+from deepbots_cli.course.lessons import shipped_lessons
+from deepbots_cli.document.shipped import robot_path
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.runs.episodes import read_evaluations
@@ -42,6 +45,7 @@ from deepbots_cli.studio import server
 from deepbots_cli.studio import session as sessions
 from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
+from deepbots_cli.studio.lesson_tab import with_buttons
 from deepbots_cli.studio.robot_pane import robot_text
 from deepbots_cli.studio.runs_tab import _unbroken
 from deepbots_cli.studio.server import studio
@@ -905,3 +909,39 @@ def test_a_link_to_the_documentation_opens_the_section_in_the_explanation():
 )
 def test_commas_stand_in_numbers_and_not_in_names(text: str, shown: str) -> None:
     assert _unbroken(text) == shown
+
+
+def test_the_commands_of_lessons_name_what_does_the_same_on_the_page() -> None:
+    texts = [with_buttons(lesson.text("text.md")) for lesson in shipped_lessons()]
+    lines = [line for text in texts for line in text.splitlines() if line.startswith("$ deepbots ")]
+    for verb in ("lint", "render", "play", "explain", "course check"):
+        assert [
+            line for line in lines if line.startswith(f"$ deepbots {verb}") and "  # or " not in line
+        ] == []
+    assert "$ deepbots try mend.yaml --driver towards  # or choose Driver: towards" in lines
+    # A driver of another engine, or of another case, cannot be chosen on the page.
+    assert [line for line in lines if re.search("--(engine|case|seeds) .*# or ", line)] == []
+
+
+def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):
+    robot = robot_path("balancer").read_text("utf-8")
+    wrong = re.sub(r'(<visual>.*?<box size=)"[^"]*"', r'\1"200 150 80"', robot, count=1, flags=re.DOTALL)
+    assert wrong != robot
+    dropped = [DroppedRobot.read(folder / "own.urdf", text.encode(), ()) for text in (robot, wrong)]
+    assert [robot.build is not None for robot in dropped] == [True, True]
+    assert (dropped[0].problem, "DB507" in dropped[1].problem) == ("", True)
+    text = SCENARIO.replace("urdf: cartpole", "urdf: own.urdf  # own.urdf")
+    (folder / "mine.yaml").write_text(text, encoding="utf-8")
+    (folder / "own.urdf").write_text(wrong, encoding="utf-8")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            file = running.session.open(Path("mine.yaml"))
+            await running.checked(file.path)
+            found = [row for row in running.session.language.findings(file.path) if row.code == "DB507"]
+            assert [text.splitlines()[row.start[0]].strip() for row in found] == [
+                "urdf: own.urdf  # own.urdf"
+            ]
+            assert found[0].message.startswith("own.urdf, line ")
+
+    asyncio.run(run())

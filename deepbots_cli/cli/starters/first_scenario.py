@@ -484,10 +484,14 @@ def drivable(model: RobotModel, urdf: str) -> tuple[Build, dict[str, dict[str, s
     return build, settings
 
 
+_UNIT_CODES = ("DB306", "DB507")
+
+
 @dataclass(frozen=True)
 class DroppedRobot:
-    """A robot file that need not be written yet: its parts, or else what is wrong with it, a line for each
-    finding, its first line in the file, and the text after each fix, by what the fix does."""
+    """A robot file that need not be written yet: its parts, or None for a file with errors; its errors, or
+    else its warnings of wrong units, a line for each, their first line in the file, and the text after each
+    fix, by what the fix does."""
 
     build: Build | None
     problem: str = ""
@@ -501,18 +505,21 @@ class DroppedRobot:
         file = read_bytes(
             content, path.name, findings, resolve_mesh=Places(path.parent, map(Path, allowed)).resolve
         )
+        listed = sorted(findings, key=lambda finding: finding.severity != "error")
+        if file is not None and not findings.errors:
+            listed = [finding for finding in listed if finding.code in _UNIT_CODES]
+        listed = listed[:_MAX_FINDINGS]
+        fixes = {
+            f"Correct line {finding.span.start_position.line}": edited(finding.span.source, finding.fix.edits)
+            for finding in listed
+            if finding.fix
+        }
+        problem = render(listed, "concise") if listed else ""
+        line = listed[0].span.start_position.line if listed else 1
         if file is None or findings.errors:
-            listed = sorted(findings, key=lambda finding: finding.severity != "error")[:_MAX_FINDINGS]
-            fixes = {
-                f"Correct line {finding.span.start_position.line}": edited(
-                    finding.span.source, finding.fix.edits
-                )
-                for finding in listed
-                if finding.fix
-            }
-            return cls(None, render(listed, "concise"), listed[0].span.start_position.line, fixes)
+            return cls(None, problem, line, fixes)
         try:
-            return cls(drivable(file.model, path.name)[0])
+            return cls(drivable(file.model, path.name)[0], problem, line, fixes)
         except UsageError as error:
             return cls(None, str(error))
 
