@@ -246,8 +246,9 @@ class Marker:
             place = ":{}:{}".format(*(value or finding).span.start_position)
         else:
             span = (test or finding).span
-            where = (*Path(span.source.name).parts[-2:], span.start_position.line)
-            place = " lacks what the test needs ({}/{}:{})".format(*where)
+            place = " lacks what the test needs ({}/{}:{})".format(
+                *Path(span.source.name).parts[-2:], span.start_position.line
+            )
         help = f"; {finding.help}" if finding.help else ""
         return f"{name}.yaml{place}: {finding.headline} ({finding.code}){help}"
 
