@@ -364,7 +364,9 @@ def _merge_outdented_entries(
         holder = node_at(root, *path)
         if not isinstance(holder, nodes.MappingNode) or name not in holder.entries:
             continue
-        faulty = {problem.path[len(path)] for problem in problems if _is_below(problem, path)}
+        below = [problem.path[len(path) :] for problem in problems if _is_below(problem, path)]
+        # A section of the language at the top level with a mistake further in is right where it is.
+        faulty = {way[0] for way in below if path or len(way) == 1 or way[0] not in Scenario.model_fields}
         entries = list(holder.entries.values())
         following = entries[list(holder.entries).index(str(name)) :]
         moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023

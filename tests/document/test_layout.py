@@ -181,6 +181,12 @@ def test_a_key_of_the_language_below_an_empty_section_is_not_part_of_it() -> Non
     assert all(finding.fix is None for finding in findings_of(wrong))
 
 
+def test_a_misspelled_key_of_a_section_below_names_of_the_user_is_the_mistake() -> None:
+    scripts = "scripts:\n  ahead: {drive: 1}\ntrain:\n  algorithm: PPO\n  learning_rat: 1e-3\n"
+    (finding,) = findings_of(f"deepbots: 1\nextends: cartpole_continuous\nname: A\n{scripts}")
+    assert finding.headline == "unknown key `learning_rat` in `train`"
+
+
 def _moved_lines(text: str, spaces: int) -> Iterator[tuple[int, str]]:
     """Yield each line by its number from 1, and the text with the line moved to the right, or to the left."""
     lines = text.splitlines(keepends=True)
