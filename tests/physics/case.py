@@ -13,6 +13,7 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -85,7 +86,13 @@ class WebotsEngine:
     """The objects and the ground of a world as a world of Webots: the methods of the port that cases need."""
 
     def __init__(self, world: WorldModel) -> None:
-        scene_world = read(world_text(WorldWriter(world, {}, {}, {}, "", "").nodes("<none>")))
+        project: Any = SimpleNamespace(
+            world=world,
+            robots={},
+            program=SimpleNamespace(name=""),
+            timestep_ms=round(world.timestep * 1000),
+        )
+        scene_world = read(world_text(WorldWriter(project, {}, {}, "").nodes("<none>")))
         scene = build_scene(scene_world)
         scene_world.findings.require_none()
         self._simulation = Simulation(scene, scene_world.span)
