@@ -8,8 +8,7 @@ fails if one has more logical lines than its budget and 1 %. It then prints whic
 that set this budget.
 
 Logical lines are statements without docstrings. The other columns are lines over 110 columns, conditional
-expressions within others, functions with a body of more than 60 lines, classes with more than 30 methods, and
-the share of lines with a comment.
+expressions within others, functions with a body of more than 60 lines, and classes with more than 30 methods.
 """
 
 from __future__ import annotations
@@ -34,21 +33,30 @@ _DOCUMENTED = (*_FUNCTIONS, ast.ClassDef, ast.Module)
 
 def measured(text: str) -> Counter[str]:
     """Return the numbers of one module."""
-    lines, tree = text.splitlines(), ast.parse(text)
-    kinds = Counter(token.type for token in tokenize.generate_tokens(io.StringIO(text).readline))
-    docstrings = sum(
-        ast.get_docstring(node) is not None for node in ast.walk(tree) if isinstance(node, _DOCUMENTED)
-    )
     return Counter(
         {
             "modules": 1,
-            "logical": kinds[tokenize.NEWLINE] - docstrings,
-            "lines": len(lines),
-            "wide": sum(len(line) > LONG_LINE for line in lines),
-            "comments": kinds[tokenize.COMMENT],
-            **Counter(_marks(tree)),
+            "logical": _size(text),
+            "lines": text.count("\n"),
+            "wide": sum(len(line) > LONG_LINE for line in text.splitlines()),
+            **Counter(_marks(ast.parse(text))),
         }
     )
+
+
+def _size(text: str) -> int:
+    """Return the number of logical lines of a module."""
+    tokens, nodes = tokenize.generate_tokens(io.StringIO(text).readline), _statements(ast.parse(text))
+    docstrings = sum(isinstance(node, _DOCUMENTED) and ast.get_docstring(node) is not None for node in nodes)
+    return sum(token.type == tokenize.NEWLINE for token in tokens) - docstrings
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield a node and the statements in it, without the expressions of these: a quarter of the time."""
+    yield node
+    for part in ast.iter_child_nodes(node):
+        if isinstance(part, ast.stmt | ast.excepthandler | ast.match_case):
+            yield from _statements(part)
 
 
 def _marks(tree: ast.Module) -> Iterator[str]:
@@ -70,8 +78,7 @@ def over_budget() -> list[str]:
     texts = []
     for package, budget in table.items():
         sizes = {
-            path.as_posix(): measured(path.read_text(encoding="utf-8"))["logical"]
-            for path in _modules(package, table)
+            path.as_posix(): _size(path.read_text(encoding="utf-8")) for path in _modules(package, table)
         }
         if (total := sum(sizes.values())) > budget * (1 + TOLERANCE):
             grown = [f"  {more:+} {module}" for module, more in _grown(package, sizes)]
@@ -97,11 +104,7 @@ def _grown(package: str, sizes: Mapping[str, int]) -> list[tuple[str, int]]:
     if not commit:
         return []
     changed = _git("diff", "--name-only", commit, "--", package).split()
-    before = {
-        module: measured(_git("show", f"{commit}:{module}"))["logical"]
-        for module in changed
-        if module in sizes
-    }
+    before = {module: _size(_git("show", f"{commit}:{module}")) for module in changed if module in sizes}
     more = [(module, sizes[module] - size) for module, size in before.items() if sizes[module] > size]
     return sorted(more, key=lambda entry: -entry[1])
 
@@ -122,14 +125,13 @@ def main(roots: list[str]) -> int:
         texts = over_budget()
         print("\n".join(texts) or "no package is over its budget")
         return 1 if texts else 0
-    columns = ("modules", "logical", "lines", "wide", "nested", "long_functions", "large_classes", "comments")
+    columns = ("modules", "logical", "lines", "wide", "nested", "long_functions", "large_classes")
     print("package".ljust(16), *(name.rjust(14) for name in columns))
     for root in roots:
         total: Counter[str] = Counter()
         for path in [Path(root)] if Path(root).is_file() else sorted(Path(root).rglob("*.py")):
             total += measured(path.read_text(encoding="utf-8"))
-        share = f"{total['comments'] / max(1, total['lines']):.2%}"
-        print(root.ljust(16), *(str(total[name]).rjust(14) for name in columns[:-1]), share.rjust(14))
+        print(root.ljust(16), *(str(total[name]).rjust(14) for name in columns))
     return 0
 
 

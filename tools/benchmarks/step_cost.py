@@ -153,9 +153,9 @@ def substeps(environment: Supervisor) -> int:
 def blind(environment: Supervisor) -> None:
     """Let its engine look at nothing after a substep; that changes no motion."""
     engine: Any = environment.engine  # of any type: the port has no way to take monitors away
-    starts, monitors = engine._substeps.starts, engine._substeps.monitors
-    starts[:] = [start for start in starts if start.__name__ != "reset"]  # resets of monitors
-    monitors.clear()
+    engine._substeps.monitors.clear()
+    # The resets of monitors are starts, too.
+    engine._substeps.starts[:] = [act for act in engine._substeps.starts if act.__name__ != "reset"]
 
 
 def require_same_motion(one: Supervisor, other: Supervisor, episode: ConstantActionEpisode) -> None:
