@@ -41,8 +41,9 @@ test: dev ## the tests, with a few of many cases that show one fact
 	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: nightly
-nightly: dev ## every case of every test, an hour of laws, and a long run over damaged files; takes two to three hours
+nightly: dev ## every case of every test, types on Windows, an hour of laws, and a long run over damaged files; takes two to three hours
 	$(PYTEST) -m "not editors" --hypothesis-profile nightly
+	$(BIN)/mypy -p deepbots_cli -p deepbots_robot -p deepbots_webots --platform win32 --cache-dir .mypy_cache/win32
 	$(MAKE) laws
 	$(MAKE) fuzz
 
@@ -58,18 +59,11 @@ fuzz: dev ## damaged files: lint, for a tenth also fmt, diff and a world of Webo
 check: dev ## everything that a change must pass
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(MAKE) --no-print-directory -j 2 types types-on-windows
+	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.sizes --budget
 	$(BIN)/python -m tools.benchmarks.lint_start
 	$(PYTEST) -m "not slow and not editors and not browser"
-
-# With a cache of its own, neither discards what the other one has cached.
-.PHONY: types types-on-windows
-types: dev
-	$(BIN)/mypy
-types-on-windows: dev
-	$(BIN)/mypy -p deepbots_cli -p deepbots_robot -p deepbots_webots --platform win32 --cache-dir .mypy_cache/win32
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm

@@ -409,6 +409,7 @@ def patient(folder: Path) -> list[str]:
     return ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
 
 
+@pytest.mark.slow
 def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -434,6 +435,7 @@ def test_a_change_that_is_not_tried_explains_no_difference_in_success(
     )
 
 
+@pytest.mark.slow
 def test_a_cause_in_measured_numbers_is_not_followed_by_the_sentence_that_no_change_explains_the_difference(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

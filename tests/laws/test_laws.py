@@ -11,7 +11,7 @@ import yaml
 from tests.laws import LAWS
 from tests.laws.scenarios import Drawn
 
-SHARE = 800
+SHARE = 600
 """CPU time of each law, in ms."""
 
 
