@@ -133,7 +133,8 @@ def _first_row(program: Program, *, has_teacher: bool) -> Choice:
         much = "images" if agent.images else f"{numbers} numbers"
         settings = {**worlds(16), "n_steps": 128, "batch_size": 256, "n_epochs": 5}
         update = settings["environments"] * copies * settings["n_steps"]
-        why = f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees {much}"
+        why = f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees"
+        why += f" {much}"
         settings |= {"learning_rate": 5e-4} if agent.images else {}
     return Choice(_PPO | settings, {"environments n_steps": why})
 

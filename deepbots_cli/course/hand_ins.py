@@ -55,8 +55,8 @@ class HandInError(UsageError):
 
 
 def collect(path: Path, into: Path, lesson: Lesson) -> tuple[Path, tuple[str, ...]]:
-    """Copy a hand-in into an empty folder. Returns the folder with its files in it, and remarks about what was
-    left out.
+    """Copy a hand-in into an empty folder. Returns the folder with its files in it, and remarks about what
+    was left out.
 
     Raises:
         HandInError: It is missing, too large, damaged, or of another kind.

@@ -111,7 +111,8 @@ class Step(_Part):
     Attributes:
         goal: What the student does, in a sentence.
         parts: The sections that the teacher's task takes from the file of the student, such as `reward` or
-            `robots.rover.sensors`. The task includes mappings; a value, such as `world.timestep`, replaces its own.
+            `robots.rover.sensors`. The task includes mappings; a value, such as `world.timestep`, replaces
+            its own.
         files: Files that the task takes beside them, such as `robot.urdf`; of at most 1 MiB.
         only: The keys that may stand directly in the parts; all, if empty.
         sensors: The types of sensors that the parts may have; None allows all.

@@ -434,8 +434,8 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
     everything else stays as it is.
 
     A key that the file does not have, because it extends another one or has a default, is added to the
-    innermost section that it has. A comment that begins with the same word is replaced. A value with an anchor
-    changes wherever it is used, and an alias becomes the value. None where the text does not allow it.
+    innermost section that it has. A comment that begins with the same word is replaced. A value with an
+    anchor changes wherever it is used, and an alias becomes the value. None where the text does not allow it.
     """
     node, _, steps = descend(root, path)
     alias = _alias(root, source, path)
