@@ -9,7 +9,8 @@ EDITORS := build/editors
 PROJECTS := pyproject.toml deepbots_robot/pyproject.toml deepbots_webots/pyproject.toml
 # `worksteal` keeps tests of a module together, so that what they share is made once.
 PYTEST := $(BIN)/pytest -n 2 --dist worksteal
-PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input
+# Python compiles a module when it is first imported; compiling all of torch takes 45 s.
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --no-compile
 .DEFAULT_GOAL := help
 
 .PHONY: help
@@ -59,11 +60,14 @@ fuzz: dev ## damaged files: lint, for a tenth also fmt, diff and a world of Webo
 check: dev ## everything that a change must pass
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/python -m tools.benchmarks.lint_start
+	@$(MAKE) --no-print-directory -j 2 types test
+
+.PHONY: types
+types: dev ## types, imports and sizes of the code
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python -m tools.sizes --budget
-	$(BIN)/python -m tools.benchmarks.lint_start
-	$(PYTEST) -m "not slow and not editors and not browser"
 
 .PHONY: editors
 editors: dev $(EDITORS)/installed ## what editors make of the JSON Schema and of the language server, and code scanning of SARIF; needs node and npm
