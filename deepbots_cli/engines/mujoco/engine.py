@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from math import inf
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import Pool, inverse_kinematics, named, torque_curve
@@ -228,17 +228,12 @@ class MuJoCoEngine:
         model = self._world.model
         data = self._world.data
         numbers = list(self.joint_numbers(robot, joints))
-        if not numbers:
-            return lambda: ()
-        if len(numbers) == 1:  # takes half the time of two slices
-            address, dof = int(model.jnt_qposadr[numbers[0]]), int(model.jnt_dofadr[numbers[0]])
-            position, velocity = data.qpos.item, data.qvel.item
-            return lambda: ((position(address), velocity(dof)),)
-        positions, velocities = (
-            motors.array_reader(*pair)
-            for pair in ((data.qpos, model.jnt_qposadr[numbers]), (data.qvel, model.jnt_dofadr[numbers]))
-        )
-        return lambda: tuple(zip(positions(), velocities(), strict=True))
+        addresses, dofs = model.jnt_qposadr[numbers].tolist(), model.jnt_dofadr[numbers].tolist()
+        # A number is read through a memoryview in 0.04 us; slices of two arrays take 0.8 us.
+        positions: Any = memoryview(data.qpos)
+        velocities: Any = memoryview(data.qvel)
+        states = list(zip(addresses, dofs, strict=True))
+        return lambda: [(positions[address], velocities[dof]) for address, dof in states]
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> TorqueReader:
         return self.motors.torques(self.joint_numbers(robot, joints))

@@ -157,7 +157,8 @@ class Motor:
         self._motors = motors
         self._world = world
         self._limits = [finite_limit(limit) for limit in max_torque]
-        self._actuators = array_index([motors.actuators[joint] for joint in joints])
+        self._numbers = [motors.actuators[joint] for joint in joints]
+        self._actuators = array_index(self._numbers)
         self._dof_index = array_index(model.jnt_dofadr[list(joints)].tolist())
         self._position_index = array_index(model.jnt_qposadr[list(joints)].tolist())
         self._joint_index = array_index(self.joints)
@@ -191,17 +192,16 @@ class Motor:
         self._motors.gain_updates[self] = renew
 
     def torque_writer(self, curve: TorqueCurve | None = None) -> MotorWriter:
-        ctrl = self._world.data.ctrl
-        actuators = self._actuators
-        limits = self._limits
+        # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
+        ctrl: Any = memoryview(self._world.data.ctrl)
+        limits = list(zip(self._numbers, self._limits, strict=True))
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
                 self._activate_curve(curve)
-            ctrl[actuators] = [
-                min(max(target, -limit), limit) for target, limit in zip(targets, limits, strict=True)
-            ]
+            for target, (actuator, limit) in zip(targets, limits, strict=True):
+                ctrl[actuator] = min(max(target, -limit), limit)
 
         return write
 
@@ -213,17 +213,19 @@ class Motor:
     ) -> MotorWriter:
         """Return a writer of targets of a spring, whose torque is `stiffness * (target - position) - damping
         * velocity`."""
-        ctrl = self._world.data.ctrl
+        ctrl: Any = memoryview(self._world.data.ctrl)
         actuators = self._actuators
         bias = self._world.model.actuator_biasprm
         stiffness, damping = list(stiffness), list(damping or [0.0] * len(stiffness))
+        springs = list(zip(self._numbers, stiffness, strict=True))
 
         def write(targets: Sequence[float]) -> None:
             if not self.is_active:
                 self._activate(soft=False)
                 self._activate_curve(curve)
                 bias[actuators, 1], bias[actuators, 2] = [-k for k in stiffness], [-d for d in damping]
-            ctrl[actuators] = [k * target for k, target in zip(stiffness, targets, strict=True)]
+            for target, (actuator, k) in zip(targets, springs, strict=True):
+                ctrl[actuator] = k * target
 
         return write
 
@@ -254,14 +256,13 @@ class Motor:
             for most, limit, inertia in zip(stiff, self._limits, inertias, strict=True)
         ]
         factor = rate or 1.0
-        # A number is written through a memoryview in 0.04 us, a list into a slice of an array in 0.6 us.
         ctrl: Any = memoryview(data.ctrl)
         bias: Any = memoryview(model.actuator_biasprm.reshape(-1))
         armature: Any = memoryview(model.dof_armature)
         # MuJoCo scales the stiffness of joint limits by these.
         inverses: Any = memoryview(model.dof_invweight0)
         width = model.actuator_biasprm.shape[1]
-        actuators = [self._motors.actuators[joint] for joint in self.joints]
+        actuators = self._numbers
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
         addresses = [width * actuator for actuator in actuators]
         by_joint = list(zip(addresses, dofs, moved, strict=True))
@@ -361,7 +362,9 @@ def array_reader(array: Any, numbers: Any) -> Callable[[], list[float]]:
     index = numbers if isinstance(numbers, slice) else array_index(list(numbers))
     if isinstance(index, slice):
         return array[index].tolist  # type: ignore[no-any-return]
-    return lambda: array[index].tolist()
+    view: Any = memoryview(array)
+    places = index.tolist()
+    return lambda: [view[place] for place in places]
 
 
 def pusher(world: MujocoWorld, link: int, frame: Literal["world", "link"]) -> Pusher:
