@@ -26,7 +26,7 @@ from deepbots_cli.geometry import Heights, ground_heights
 from deepbots_cli.port import BatchEngine
 from deepbots_cli.program import generated
 from deepbots_cli.runtime.batch_parts import BatchController, BatchRobots, OptionMasks, columns_array
-from deepbots_cli.runtime.columns import where_running
+from deepbots_cli.runtime.columns import column_of, where_running
 from deepbots_cli.runtime.copies import WorldRows
 from deepbots_cli.runtime.messages import excerpt
 from deepbots_cli.runtime.spaces import (
@@ -404,7 +404,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def rewards(self) -> Column:
         """Return the rewards of the last step, a copy."""
-        return np.array(np.broadcast_to(self.reward, self.count), float)
+        return np.array(column_of(self.reward, self.count), float)
 
     def terms(self) -> Column:
         """Return the terms of the last rewards, a row each; a copy."""
@@ -420,7 +420,7 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     def make_action(self, choices: Sequence[Any], ranges: Sequence[Any]) -> Any:
         """Return the actions with these options and numbers, a column each."""
         of_choices, of_ranges = (
-            np.array([np.broadcast_to(column, self.count) for column in columns]).reshape(-1, self.count).T
+            np.array([column_of(column, self.count) for column in columns]).reshape(-1, self.count).T
             for columns in (choices, ranges)
         )
         return compose_rows(self.action_space, of_choices, of_ranges)

@@ -29,7 +29,7 @@ from deepbots_cli.port import Engine, View
 from deepbots_cli.program import AgentEnding, Program, generated
 from deepbots_cli.program.task import Agent
 from deepbots_cli.runtime.actuation import SupervisedRobots
-from deepbots_cli.runtime.columns import where_running
+from deepbots_cli.runtime.columns import column_of, where_running
 from deepbots_cli.runtime.formulas import clip
 from deepbots_cli.runtime.messages import excerpt
 from deepbots_cli.runtime.overview import FollowingView
@@ -217,9 +217,7 @@ class EpisodeEnds:
     def _terminate(self, endings: dict[str, Any], *, success: Any = False) -> None:
         """End the task where one of the endings holds; the first of them determines the result."""
         self.holds = {
-            name: where_running(
-                self.running, np.broadcast_to(column, self.count), self.holds.get(name, False)
-            )
+            name: where_running(self.running, column_of(column, self.count), self.holds.get(name, False))
             for name, column in endings.items()
         }
         ended = np.logical_or.reduce(list(self.holds.values()))
@@ -231,7 +229,7 @@ class EpisodeEnds:
     ) -> Column:
         """End the episodes of one of several agents where an ending of its own holds, while others go on.
         Returns where they have ended."""
-        now = where_running(self.running, np.broadcast_to(ending, self.count) & ~ended, False)
+        now = where_running(self.running, column_of(ending, self.count) & ~ended, False)
         columns = self.agent_ends.setdefault(agent, AgentColumns(self.count))
         columns.end(now, self.step_count, endings, success)
         columns.ended = ended | now

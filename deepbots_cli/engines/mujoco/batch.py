@@ -265,6 +265,9 @@ class MuJoCoBatch(BatchReaders):
                 self.take_commands()
             for motor in self.motors.values():
                 motor.renew(goes)
+            if not self._pushes:
+                self._advance(goes, 1)
+                continue
             applied = self._push(goes)
             self._advance(goes, 1)
             applied[goes] = 0.0

@@ -607,10 +607,13 @@ class TrackingMotor(BatchMotor):
         self._stiffest = MAX_GAIN * inertias / self._step
         self._least = 4.0 * inertias * rate if rate else inertias / self._step
         self._gains = np.full(self._targets.shape, np.nan)  # unequal to any gain, so the first are written
+        self._near = np.zeros(self._targets.shape)
+        """The errors up to which a motor has its largest gain."""
 
     def _activate(self, worlds: Column) -> None:
         super()._activate(worlds)
         self._gains[worlds] = np.nan
+        self._near[worlds] = self._limits[worlds] / self._stiffest
 
     def _exert(self, targets: Column, worlds: Any) -> None:
         if self._rate:
@@ -619,9 +622,11 @@ class TrackingMotor(BatchMotor):
         self.waits[worlds] = (self._aim(worlds) < self._least).any(axis=1)
 
     def renew(self, goes: Column) -> None:
-        worlds = np.flatnonzero(self.waits & goes)
-        if len(worlds):
-            self._aim(worlds)
+        waits = self.waits & goes
+        if waits.all():
+            self._aim(slice(None))
+        elif waits.any():
+            self._aim(np.flatnonzero(waits))
 
     def _aim(self, worlds: Any) -> Column:
         """Return the gains, which are renewed."""
@@ -633,25 +638,29 @@ class TrackingMotor(BatchMotor):
             if self._rate
             else targets
         )
+        dofs, actuators = cells(worlds, self._dofs), cells(worlds, self._actuators)
         off = np.maximum(
-            np.abs(target_velocities - batch.qvel[cells(worlds, self._dofs)]),
-            MIN_ERROR_SHARE * np.abs(target_velocities),
+            np.abs(target_velocities - batch.qvel[dofs]), MIN_ERROR_SHARE * np.abs(target_velocities)
         )
-        gains = np.broadcast_to(self._stiffest, off.shape).copy()
-        np.divide(limits, off, out=gains, where=off > limits / self._stiffest)
-        batch.ctrl[cells(worlds, self._actuators)] = gains * (self._rate or 1.0) * targets
+        gains = np.empty(off.shape)
+        gains[:] = self._stiffest
+        np.divide(limits, off, out=gains, where=off > self._near[worlds])
+        batch.ctrl[actuators] = gains * self._rate * targets if self._rate else gains * targets
         aimed = gains
         renewed = (gains != self._gains[worlds]).any(axis=1)
         if not renewed.all():
+            if not renewed.any():
+                return aimed
             worlds = np.arange(batch.count)[worlds][renewed]
             gains = gains[renewed]
+            dofs, actuators = cells(worlds, self._dofs), cells(worlds, self._actuators)
         added = gains * self._step
         bias = batch.rows["actuator_biasprm"]
         self._gains[worlds] = gains
-        bias[..., 2][cells(worlds, self._actuators)] = -gains
+        bias[..., 2][actuators] = -gains
         if self._rate:
-            bias[..., 1][cells(worlds, self._actuators)] = -gains * self._rate
+            bias[..., 1][actuators] = -gains * self._rate
         usual = batch.usual_armature(worlds, self._dofs)
-        batch.rows["dof_armature"][cells(worlds, self._dofs)] = usual + added
-        batch.rows["dof_invweight0"][cells(worlds, self._dofs)] = 1.0 / (self._moved + added)
+        batch.rows["dof_armature"][dofs] = usual + added
+        batch.rows["dof_invweight0"][dofs] = 1.0 / (self._moved + added)
         return aimed
