@@ -117,7 +117,7 @@ def test_a_page_of_the_gallery_shows_names_ranges_and_units(pages: dict[str, str
     assert "| 0 | `x` | -0.4 .. 0.4 | `m` | -1 .. 1 |" in page
     assert "| `drive` | choice | forward (drive = 1), backward (drive = -1) | `1` |" in page
     assert "| `fallen` | failure | `abs(cart.pole_angle) > fall_angle` |" in page
-    assert "| 5003 | 9008 steps, 226 episodes | 0.0801 | 9008 steps, 226 episodes | 0.0801 | " in page
+    assert "| 5003 | 9,008 steps, 226 episodes | 0.0801 | 9,008 steps, 226 episodes | 0.0801 | " in page
     assert "| held out | all | 500 |  | 200 | 200, 200 | max_steps 500 |" in page
     assert "| random |  | 100 |  | 33.38 (31.5 .. 35.26) | 19, 62 | fallen 100 |" in page
 

@@ -9,9 +9,10 @@ from statistics import fmean, median
 
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, mean_interval, wilson
+from deepbots_cli.words import number_text
 from tools.results import measure
 from tools.results.benchmark import CPU_LIMIT, SEEDS, Cell, Task
-from tools.results.card import NOTE, count, measured_on, number, slug, table, wrapped
+from tools.results.card import NOTE, measured_on, slug, table, wrapped
 from tools.results.experiment import Evaluation
 from tools.results.measure import Places
 from tools.results.standing import Entry, Standing
@@ -214,7 +215,7 @@ def _section(task: Task, rows: Sequence[Row], record: Entry) -> Iterator[str]:
     measured = [entry for row in rows for entry in (*row.entries, *row.held)]
     if speeds:
         rates = " and ".join(
-            f"{count(round(1e6 / micro))} steps/s in {ENGINE_NAMES[name]}"
+            f"{round(1e6 / micro):,} steps/s in {ENGINE_NAMES[name]}"
             for name, micro in speeds["step_us"].items()
         )
         yield from wrapped(
@@ -259,7 +260,7 @@ def _section(task: Task, rows: Sequence[Row], record: Entry) -> Iterator[str]:
 def _cells(row: Row) -> tuple[str, ...]:
     if not row.cell.training:
         return (row.name, row.cell.reason, *[""] * 7)
-    limit = f"{count(limit_of(row.task, row.cell))} steps"
+    limit = f"{limit_of(row.task, row.cell):,} steps"
     if not row.entries:
         return (row.name, "not measured yet", *[""] * 6, limit)
     seeds = f"{row.solved} of {len(row.entries)}{'' if len(row.entries) == len(SEEDS) else ' (seeds so far)'}"
@@ -298,8 +299,10 @@ def _return(row: Row) -> str:
     interval = return_interval(
         row.held, possible_returns(measure.compiled(row.task.scenario, row.cell.training.sets))
     )
-    spread = "no interval" if interval is None else f"{number(interval[0])} .. {number(interval[1])}"
-    return f"{number(fmean(entry['mean_return'] for entry in row.held))} ({spread})"
+    spread = (
+        "no interval" if interval is None else f"{number_text(interval[0])} .. {number_text(interval[1])}"
+    )
+    return f"{number_text(fmean(entry['mean_return'] for entry in row.held))} ({spread})"
 
 
 def _percent(share: float) -> str:
@@ -317,7 +320,7 @@ def _median(values: Sequence[float]) -> str:
 
 def _number(value: float) -> str:
     """Three digits, and all of larger numbers."""
-    return count(round(value)) if value >= 100 else number(value, 3)
+    return f"{round(value):,}" if value >= 100 else number_text(value, 3)
 
 
 def _seeds(number_of_seeds: int) -> str:

@@ -7,6 +7,7 @@ import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
+from deepbots_cli.words import number_text
 from tools.results import measure
 from tools.results.experiment import Experiment, Training
 from tools.results.standing import Entry, Headline, Standing, together
@@ -30,15 +31,6 @@ def wrapped(text: str, indent: str = "") -> list[str]:
     )
 
 
-def number(value: float, digits: int = 4) -> str:
-    """`0.2301`, `25 890`, `281 000`."""
-    return f"{value:,.0f}".replace(",", " ") if abs(value) >= 10_000 else f"{value:.{digits}g}"
-
-
-def count(value: int) -> str:
-    return f"{value:,}".replace(",", " ") if value >= 10_000 else str(value)
-
-
 def slug(text: str) -> str:
     """The anchor of a heading."""
     return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
@@ -60,9 +52,9 @@ def share(entry: Entry) -> str:
 def mean_return(entry: Entry) -> str:
     """`33.38 (31.5 .. 35.26)`; equal returns have no interval."""
     if entry["return_interval"] is None or entry["least_return"] == entry["greatest_return"]:
-        return number(entry["mean_return"])
+        return number_text(entry["mean_return"])
     low, high = entry["return_interval"]
-    return f"{number(entry['mean_return'])} ({number(low)} .. {number(high)})"
+    return f"{number_text(entry['mean_return'])} ({number_text(low)} .. {number_text(high)})"
 
 
 def outcome(entry: Entry) -> str:
@@ -137,7 +129,7 @@ def _headline(standing: Standing) -> Iterator[str]:
         what = "success" if headline.held["success_defined"] else "mean return"
         case = f", case `{standing.experiment.case}`" if standing.experiment.case else ""
         head = [
-            f"{what} in {count(headline.held['episodes'])} held-out episodes{case}",
+            f"{what} in {headline.held['episodes']:,} held-out episodes{case}",
             "seeds",
             "simulated hours",
             "CPU of a training",
@@ -145,8 +137,8 @@ def _headline(standing: Standing) -> Iterator[str]:
         row = [
             f"**{outcome(headline.held)}**",
             str(headline.seeds),
-            number(headline.simulated_hours, 3),
-            f"{number(headline.cpu_seconds, 3)} s",
+            number_text(headline.simulated_hours, 3),
+            f"{number_text(headline.cpu_seconds, 3)} s",
         ]
         if headline.random:
             head[1:1], row[1:1] = ["random policy"], [outcome(headline.random)]
@@ -169,11 +161,11 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
     for seed, entry in seeds.items():
         solved, resumed = entry["solved_at"], entry["times_resumed"]
         after = (
-            (_counts(solved["steps"], solved["episode"]), number(solved["simulated_hours"], 3))
+            (_counts(solved["steps"], solved["episode"]), number_text(solved["simulated_hours"], 3))
             if solved
             else ("not solved", "")
         )
-        cpu = f"{number(entry['cpu_seconds'], 3)} s" + (
+        cpu = f"{number_text(entry['cpu_seconds'], 3)} s" + (
             f", resumed {'once' if resumed == 1 else f'{resumed} times'}" if resumed else ""
         )
         rows.append(
@@ -181,7 +173,7 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
                 str(seed),
                 *after,
                 _counts(entry["steps"], entry["episodes"]),
-                number(entry["simulated_hours"], 3),
+                number_text(entry["simulated_hours"], 3),
                 cpu,
             )
         )
@@ -193,7 +185,7 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
             str(seed),
             f"`{end['name']}`",
             _counts(end["steps"], end["episodes"]),
-            number(end["simulated_hours"], 3),
+            number_text(end["simulated_hours"], 3),
         )
         for seed, entry in seeds.items()
         for end in entry["stages"]
@@ -210,7 +202,7 @@ def _seeds(standing: Standing, training: Training) -> list[str]:
 
 
 def _counts(steps: int, episodes: int) -> str:
-    return f"{count(steps)} steps, {count(episodes)} episodes"
+    return f"{steps:,} steps, {episodes:,} episodes"
 
 
 def _episodes(standing: Standing) -> list[str]:
@@ -256,7 +248,7 @@ def _held(name: str, held: Mapping[int, Entry]) -> Iterator[tuple[str, ...]]:
 def _outcome(result: Entry) -> tuple[str, ...]:
     endings = ", ".join(f"{name} {times}" for name, times in result["endings"].items())
     succeeded = share(result) if result["success_defined"] else ""
-    extremes = f"{number(result['least_return'])}, {number(result['greatest_return'])}"
+    extremes = f"{number_text(result['least_return'])}, {number_text(result['greatest_return'])}"
     return str(result["episodes"]), succeeded, mean_return(result), extremes, endings
 
 

@@ -12,13 +12,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from deepbots_cli.learning.runs.directories import write_text
+from deepbots_cli.words import number_text
 from tools.benchmarks import robot_files
 from tools.results import benchmark, benchmark_page, measure, physics_page, picture
 from tools.results.card import (
     NOTE,
-    count,
     measured_on,
-    number,
     outcome,
     table,
     wrapped,
@@ -144,7 +143,7 @@ def _beside(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
 def _figure(value: float, what: str) -> str:
     if math.isinf(value):
         return "never"
-    return f"{100 * value:.1f}".removesuffix(".0") + " %" if what == "success_rate" else number(value, 3)
+    return f"{100 * value:.1f}".removesuffix(".0") + " %" if what == "success_rate" else number_text(value, 3)
 
 
 def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
@@ -154,7 +153,13 @@ def _others(standings: Sequence[Standing]) -> Iterator[tuple[str, ...]]:
         headline = Headline.of(standing)
         if headline and not experiment.beside:
             random = outcome(headline.random).partition(" (")[0] if headline.random else ""
-            yield link, outcome(headline.held), random, str(headline.seeds), number(headline.cpu_seconds, 3)
+            yield (
+                link,
+                outcome(headline.held),
+                random,
+                str(headline.seeds),
+                number_text(headline.cpu_seconds, 3),
+            )
 
 
 def _unmeasured(standings: Sequence[Standing]) -> Iterator[str]:
@@ -255,7 +260,7 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
 
 def _value(value: float) -> str:
     """Counts are exact, other figures have three digits."""
-    return count(int(value)) if value == int(value) else number(value, 3)
+    return f"{int(value):,}" if value == int(value) else number_text(value, 3)
 
 
 def _passed(row: Entry) -> str:

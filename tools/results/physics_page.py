@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
-from tools.results.card import measured_on, number, table
+from deepbots_cli.words import number_text
+from tools.results.card import measured_on, table
 from tools.results.standing import Entry
 
 NAMES = {"pybullet": "PyBullet", "mujoco": "MuJoCo", "batch": "a batch", "webots": "Webots"}
@@ -41,11 +42,11 @@ def _cells(row: Any, is_first: bool) -> tuple[str, ...]:
     """Return the cells of a quantity; its first one names the case, and a batch has a number where it
     differs."""
     pybullet, mujoco, batch, webots = (_number(row, engine) for engine in NAMES)
-    truth = f"{number(row['truth'])} ±" if row["truth"] else "at most"
+    truth = f"{number_text(row['truth'])} ±" if row["truth"] else "at most"
     return (
         row["case"] if is_first else "",
         row["what"],
-        f"{truth} {number(row['tolerance'], 2)} {row['unit']}".rstrip(),
+        f"{truth} {number_text(row['tolerance'], 2)} {row['unit']}".rstrip(),
         pybullet,
         mujoco if batch in ("", mujoco) else f"{mujoco}; batch {batch}",
         webots,
@@ -59,5 +60,5 @@ def _number(row: Any, engine: str) -> str:
         return "**diverges**" if value is None else ""
     if not row["truth"] and abs(value) < row["tolerance"] / 100:
         return "0"
-    text = number(value, 4 if row["truth"] or abs(value) >= 100 else 2)
+    text = number_text(value, 4 if row["truth"] or abs(value) >= 100 else 2)
     return f"**{text}**" if engine in row["wrong"] else text
