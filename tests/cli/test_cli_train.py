@@ -20,6 +20,7 @@ import threading
 import time
 import urllib.request
 from dataclasses import replace
+from importlib.metadata import version
 from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
@@ -98,23 +99,36 @@ def test_a_repeated_training_gives_the_same_weights_or_says_what_differs(deepbot
 
 
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
-def test_a_run_knows_the_commit_of_its_project_and_starts_no_program_of_it(tmp_path):
+@pytest.mark.parametrize("name", ["evil", "a=b", "a\u2028b", b"\xff"])
+def test_a_run_knows_the_commit_of_its_project_and_starts_no_program_of_it(tmp_path, name):
     def git(*words):
         author = ["-c", "user.name=a", "-c", "user.email=a@b"]
         subprocess.run(["git", *author, *words], cwd=tmp_path, check=True, capture_output=True)
 
     scenario = tmp_path / "mine.yaml"
     scenario.write_text("deepbots: 1\n")
-    (tmp_path / ".gitattributes").write_text("*.yaml filter=evil\n")
+    encoded = os.fsencode(name)
+    (tmp_path / ".gitattributes").write_bytes(b"*.yaml filter=" + encoded + b"\n")
     git("init")
     git("add", ".")
     git("commit", "-m", "first")
     assert Commit.of(tmp_path).is_changed is False
-    git("config", "filter.evil.clean", "touch started; cat")
+    git("config", b"filter." + encoded + b".clean", "touch started; cat")
     git("config", "core.fsmonitor", "touch started")
-    scenario.write_text("deepbots: 1 \n")
+    scenario.write_text("deepbots: 2\n")  # of the same size, so Git compares the content
     assert Commit.of(tmp_path).is_changed is True
     assert not (tmp_path / "started").exists()
+
+
+def test_of_two_installations_a_run_records_the_version_that_python_imports(tmp_path):
+    metadata = tmp_path / "numpy-0.1.dist-info" / "METADATA"
+    metadata.parent.mkdir()
+    metadata.write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.1\n")
+    code = "import sys; from deepbots_cli.learning.runs import origin; sys.path.append(sys.argv[1])"
+    shown = "print(origin.Origin.of(origin.Path('.')).packages['numpy'])"
+    command = [sys.executable, "-c", f"{code}; {shown}", str(tmp_path)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert ran.stdout.strip() == version("numpy")
 
 
 def test_train_runs_and_inspect_name_the_step_of_the_best_model_and_what_chose_it(

@@ -19,7 +19,7 @@ _CPU_INFO = Path("/proc/cpuinfo")
 
 
 class Commit(BaseModel):
-    """A commit of Git, and whether a file that it has was changed since."""
+    """A commit of Git, and whether a file that it has was changed since, or may have been."""
 
     model_config = ConfigDict(frozen=True, strict=True)
 
@@ -38,11 +38,11 @@ class Commit(BaseModel):
         commit = _git(folder, "rev-parse", "--verify", "HEAD")
         if not commit:
             return None
-        filters = (_git(folder, "config", "--name-only", "--get-regexp", r"^filter\.") or "").splitlines()
-        without_filters = [word for name in filters for word in ("-c", f"{name}=")]
-        changes = _git(
-            folder, *without_filters, "status", "--porcelain", "--untracked-files=no", "--ignore-submodules"
-        )
+        names = (_git(folder, "config", "-z", "--name-only", "--get-regexp", r"^filter\.") or "").split("\0")
+        without_filters = [word for name in filter(None, names) for word in ("-c", f"{name}=")]
+        status = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules")
+        # `-c` cannot set a name with an equals sign, so such a filter would run: the changes stay unknown.
+        changes = None if "=" in "".join(names) else _git(folder, *without_filters, *status)
         return cls(commit=commit, is_changed=changes != "")
 
 
@@ -52,6 +52,7 @@ def _git(folder: Path, *arguments: str) -> str | None:
             ["git", "-C", str(folder), "-c", "core.fsmonitor=false", *arguments],
             capture_output=True,
             text=True,
+            errors="surrogateescape",  # names need not be UTF-8
             timeout=10,
             check=False,
             env={**os.environ, "GIT_OPTIONAL_LOCKS": "0", "GIT_NO_LAZY_FETCH": "1"},
@@ -108,7 +109,8 @@ def _commit_of_deepbots() -> Commit | None:
 
 @cache
 def _packages() -> dict[str, str]:
-    versions = {each.metadata["Name"]: each.version for each in distributions()}
+    # Of two installations of a package, Python imports the first one on its path.
+    versions = {each.metadata["Name"]: each.version for each in reversed([*distributions()])}
     return {name: versions[name] for name in sorted(filter(None, versions), key=str.lower)}
 
 
