@@ -633,7 +633,8 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
         span = values.field(spec, "gravity").span
         downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         # A fix would replace a draw by a number.
-        fix = None if "(" in span.text else Fix((Edit(span, downwards),), safe=False)
+        is_randomized = namespace.fields.is_randomized("gravity", OfWorld())
+        fix = None if is_randomized else Fix((Edit(span, downwards),), safe=False)
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
         body

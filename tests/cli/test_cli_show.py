@@ -208,6 +208,10 @@ INSPECTED = [
         ],
     ),
     (
+        changed("world.gravity=uniform(0 0 -9.9 .. 0 0 -9.7 m/s^2)"),  # the middle of each component
+        [("scenario", {"gravity": [0.0, 0.0, pytest.approx(-9.8)]})],
+    ),
+    (
         ("epuck",),
         [
             ("robot", {"mass_kg": pytest.approx(0.162)}),
