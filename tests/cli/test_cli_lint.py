@@ -152,6 +152,8 @@ def test_standard_input_is_linted_as_the_file_that_it_is_of(deepbots, files, mon
     feed(monkeypatch, b"deepbots: 1\nextends: base.yaml\nsummary: on\n")
     ran = deepbots("lint", "-", "--stdin-filename", "worlds/unsaved.yaml", "--format", "concise")
     assert ran.out.startswith("worlds/unsaved.yaml:3:10: warning DB003")
+    feed(monkeypatch, CARTPOLE.replace("truncation:", "truncaton:").encode())
+    assert "--fix" not in deepbots("lint", "-", code=1).err  # which takes files only
 
 
 def test_standard_input_needs_no_name_and_is_any_bytes(deepbots, files, monkeypatch):

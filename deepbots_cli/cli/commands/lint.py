@@ -206,7 +206,7 @@ def command(
     elif not diff:
         print(report(selected, format_, [look.called(name) for name in names], failing), end="")
         if format_ is Format.full:
-            _sum_up(selected, names, selection, fixable=not (fix or overrides), look=look)
+            _sum_up(selected, names, selection, fixable=not (fix or overrides or STDIN in names), look=look)
     hidden = [
         finding for finding in findings if finding.severity == "error" and not selection.selects(finding)
     ]
