@@ -163,9 +163,9 @@ class Teaching:
         If none of them succeeds, the script does not teach in this stage.
         """
         self.score = summary = Summary.of_episodes(episodes)
-        name = f"the teacher {self.teacher.script if self.policy is None else self.policy.name}"
-        if self.demonstrations is not None:
-            name = "the teacher, a recording"
+        name = f"the teacher {self.teacher.script}"
+        if not self._is_script:
+            name = f"the teacher, a {'policy' if self.demonstrations is None else 'recording'}"
         mean = f"mean return {number_text(summary.mean_return, 3)}"
         if stage != self._stage and (self._has_stages or self._stage < 0):
             self._stage = stage
@@ -357,7 +357,6 @@ class PolicyTeacher:
     """
 
     def __init__(self, teacher: ModelRef, program: Program) -> None:
-        self.name = teacher.label
         self._run = teacher.run
         self._columns = _columns(teacher, program)
         from deepbots_cli.learning.policy import loaded  # which imports the checkpoints, and so this module

@@ -707,13 +707,17 @@ def student(folder: Path, critic: str = CRITIC, algorithm: str = "PPO") -> Path:
     return path
 
 
-def test_a_policy_imitates_one_that_sees_more(teacher: TrainingResult, tmp_path: Path) -> None:
+def test_a_policy_imitates_one_that_sees_more(
+    teacher: TrainingResult, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     result = train(
         student(tmp_path),
         run=tmp_path / "run",
         demonstrations=teacher.run,
         loggers=["csv"],
+        progress=True,
     )
+    assert "note: the teacher, a policy: " in capsys.readouterr().err
     rows = [line.split(",") for line in (result.run / "logs" / "scalars.csv").read_text().splitlines()[1:]]
     assert max([float(value) for _, name, value in rows if name == "teacher/agreement"]) > 0.8
     assert any(name == "teacher/mean_return" for _, name, _ in rows)
