@@ -25,19 +25,29 @@ _REMEDIES = {
 }
 
 
-READS: ContextVar[set[Path]] = ContextVar("reads")
-"""The files that were read or looked for by functions of this module within the innermost
-`recorded_reads`."""
+Stamps = dict[Path, tuple[int, int] | None]
+"""The time of change and the size of each file, None for a missing one; they differ after a file was saved."""
+READS: ContextVar[Stamps | None] = ContextVar("reads", default=None)
+"""The files that were read or looked for by functions of this module within the innermost `recorded_reads`,
+as they were before."""
 
 
 @contextmanager
-def recorded_reads() -> Iterator[set[Path]]:
-    """Collect the files that are read within the context, and those that are missing."""
-    token = READS.set(set())
+def recorded_reads() -> Iterator[Stamps]:
+    """Collect the files that are read within the context, and those that are missing. A file that changes
+    afterwards, also within the context, has another stamp."""
+    reads: Stamps = {}
+    token = READS.set(reads)
     try:
-        yield READS.get()
+        yield reads
     finally:
         READS.reset(token)
+
+
+def _note_read(path: Path) -> None:
+    reads = READS.get()
+    if reads is not None and path not in reads:
+        reads |= file_stamps([path])
 
 
 def read_at_most(path: Path, limit: int) -> bytes:
@@ -46,7 +56,7 @@ def read_at_most(path: Path, limit: int) -> bytes:
     Raises:
         OSError: The file cannot be read.
     """
-    READS.get(set()).add(path)
+    _note_read(path)
     with path.open("rb") as file:
         # A buffer of `limit` bytes (32 MB for a mesh) fragments the heap: a process grew by 20 MB in 60 000
         # reads.
@@ -59,7 +69,7 @@ def read_at_most(path: Path, limit: int) -> bytes:
 def is_file(path: Path) -> bool:
     """Return whether there is a file; False for a name that no file can have, because it is too long or has a
     null byte. `recorded_reads` collects its path."""
-    READS.get(set()).add(path)
+    _note_read(path)
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -190,10 +200,9 @@ def atomic_write(path: Path, refused: type[UsageError] = UsageError) -> Iterator
         draft.unlink(missing_ok=True)
 
 
-def file_stamps(files: Iterable[Path]) -> dict[Path, tuple[int, int] | None]:
-    """Return the time of change and the size of each file, None for a missing one; they differ after a file
-    was saved."""
-    stamps: dict[Path, tuple[int, int] | None] = dict.fromkeys(files)
+def file_stamps(files: Iterable[Path]) -> Stamps:
+    """Return the stamps of files as they are now."""
+    stamps: Stamps = dict.fromkeys(files)
     for file in stamps:
         with suppress(OSError, ValueError):  # ValueError: a name with a null byte
             status = file.stat()

@@ -20,7 +20,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
-from deepbots_cli.files import file_stamps, recorded_reads
+from deepbots_cli.files import Stamps, file_stamps, recorded_reads
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.records import RunRecord
 from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
@@ -90,7 +90,7 @@ class Showing:
             return self._open_recording(source.path, is_log=is_robot_log(source.path))
         with recorded_reads() as files:
             state = self._open_scenario(source)
-        return replace(state, files=frozenset(files) if state.run is None else frozenset())
+        return replace(state, files=files if state.run is None else {})
 
     def _open_scenario(self, source: Source) -> ShowingState:
         run = None
@@ -106,7 +106,7 @@ class Showing:
         try:
             compiled = api.compile(checked)
         except ScenarioError as error:
-            return ShowingState(None, error.findings, frozenset(), showing, run)
+            return ShowingState(None, error.findings, {}, showing, run)
         parameters = (
             {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         )
@@ -114,7 +114,7 @@ class Showing:
         if run is not None and run.program.members and variant.others is not None:
             run = run.of_agent(variant.others.agent)
         return ShowingState(
-            variant, compiled.findings, frozenset(), showing, run, compiled=compiled, parameters=parameters
+            variant, compiled.findings, {}, showing, run, compiled=compiled, parameters=parameters
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
@@ -137,7 +137,7 @@ class Showing:
         return ShowingState(
             compiled.program.variant(showing.case, showing.stage),
             (),
-            frozenset(),
+            {},
             showing,
             recording=recording,
             compiled=compiled,
@@ -154,7 +154,7 @@ class ShowingState:
 
     program: Program | None
     findings: Sequence[Finding]
-    files: frozenset[Path]
+    files: Stamps
     shown: Showing
     run: Run | None = None
     recording: Any = None

@@ -17,7 +17,7 @@ from typing import Any
 
 from deepbots_cli.diagnostics.render import render
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.files import file_stamps
+from deepbots_cli.files import Stamps, file_stamps
 from deepbots_cli.frames import add, scaled
 from deepbots_cli.learning.runs.verdict import changed_texts, listed_values
 from deepbots_cli.port import ZERO_VECTOR
@@ -109,7 +109,7 @@ class Page:
         self._controls: Any = None
         self._written: dict[str, str] = {}
         """The parameters as the file has them, from which the sliders begin."""
-        self._files: frozenset[Path] = frozenset()
+        self._file_stamps: Stamps = {}
         opened = self._open(source)
         if playing and opened.recording is not None:
             raise UsageError(
@@ -126,7 +126,6 @@ class Page:
         )
         self._cameras = SceneCameras(self.server, self._tasks.put)
         set_theme(self.server.gui, dark=False)
-        self._file_stamps = file_stamps(self._files)
         try:
             self._show(opened)
         except BaseException:
@@ -196,10 +195,10 @@ class Page:
         opened = source.open()
         self._compared = None if self._compare is None else self._compare.open()
         states = [opened] if self._compared is None else [opened, self._compared]
-        files = frozenset().union(*(state.files for state in states))
+        files = {file: stamp for state in reversed(states) for file, stamp in state.files.items()}
         # A file with an error may hide the files that it includes.
         has_errors = any(state.program is None for state in states)
-        self._files = files | self._files if has_errors else files
+        self._file_stamps = self._file_stamps | files if has_errors else files
         return opened
 
     def _show(self, opened: ShowingState, *, again: bool = False) -> None:
@@ -365,11 +364,9 @@ class Page:
                 self._run_or_stop(self._tasks.get())
             if self._watch and time.monotonic() - checked > _WATCH_INTERVAL_S:
                 checked = time.monotonic()
-                if (now := file_stamps(self._files)) != self._file_stamps:
+                if (now := file_stamps(self._file_stamps)) != self._file_stamps:
+                    self._file_stamps = now  # of a reload that fails
                     self._run_or_stop(self.reload)
-                    before = {file: now[file] for file in self._files if file in now}
-                    # Changes that came meanwhile are not included, so they are read next.
-                    self._file_stamps = file_stamps(self._files) | before
             if self._changed_at and time.monotonic() - self._changed_at > _DEBOUNCE_S:
                 self._changed_at = 0.0
                 self._run_or_stop(self.reload)

@@ -236,6 +236,18 @@ def test_watching_lints_again_when_a_file_is_saved(deepbots, files, watched):
     deepbots("lint", "broken.yaml", "--watch", "--fix", code=2)
 
 
+def test_watching_lints_again_when_a_file_is_saved_while_it_is_linted(deepbots, files, watched, monkeypatch):
+    saved = iter([CARTPOLE])
+
+    def save(_format):
+        for text in saved:
+            (files / "broken.yaml").write_text(text)
+        return "12:00:00"
+
+    monkeypatch.setattr("time.strftime", save)  # after the files were read, and before the first look at them
+    assert watched([], "broken.yaml").err.count("Ctrl-C ends it") == 2
+
+
 def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, monkeypatch):
     for engine in ("pybullet", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed

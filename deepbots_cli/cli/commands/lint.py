@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 import time
 from codecs import BOM_UTF8
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field
 from enum import StrEnum
@@ -49,7 +49,7 @@ from deepbots_cli.document.load import Drafts
 from deepbots_cli.document.nodes import MappingNode
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.files import READS, file_stamps, is_file, recorded_reads
+from deepbots_cli.files import READS, Stamps, file_stamps, is_file, recorded_reads
 from deepbots_cli.lint import all_findings, find_exploits, simulate
 from deepbots_cli.lint.fixes import Fixer, LintResult, Rewrite
 from deepbots_cli.lint.settings import scenarios_in, settings
@@ -218,17 +218,18 @@ def command(
 
 
 def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -> None:
-    """Lint, and again whenever a file that was read changes, or a folder has other scenarios, until
+    """Lint, and again whenever a file changes after it was read, or a folder has other scenarios, until
     Ctrl-C."""
 
-    def state(files: Iterable[Path]) -> object:
+    def names() -> list[str] | None:
         try:
-            return find_names(), file_stamps(files)
+            return find_names()
         except DeepbotsError:  # a file is missing for a moment while an editor saves
             return None
 
     with suppress(KeyboardInterrupt):
         while True:
+            linted = names()
             with recorded_reads() as files:
                 try:
                     lint_once()
@@ -239,8 +240,7 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -
             sys.stdout.flush()
             count = sum(map(is_file, files))
             terminal.note(f"{time.strftime('%H:%M:%S')}: watching {count} files; Ctrl-C ends it")
-            last_state = state(files)
-            while state(files) == last_state:
+            while (names(), file_stamps(files)) == (linted, files):
                 time.sleep(_WATCH_INTERVAL_S)
 
 
@@ -503,14 +503,16 @@ def _in_processes(look_at: partial[list[Finding]], names: Sequence[str], jobs: i
     ):
         size = max(1, len(files) // (4 * jobs))
         results = dict(zip(files, pool.map(partial(_recorded, look_at), files, chunksize=size), strict=True))
-    READS.get(set()).update(*(paths for _, paths in results.values()))
+    if (reads := READS.get()) is not None:
+        for _, stamps in results.values():
+            reads |= stamps
     return [results[name][0] if name in results else look_at(name) for name in names]
 
 
-def _recorded(look_at: Callable[[str], list[Finding]], name: str) -> tuple[list[Finding], set[Path]]:
+def _recorded(look_at: Callable[[str], list[Finding]], name: str) -> tuple[list[Finding], Stamps]:
     """Return the findings of a scenario, and the files that were read for them."""
-    with recorded_reads() as paths:
-        return look_at(name), paths
+    with recorded_reads() as reads:
+        return look_at(name), reads
 
 
 # Formats
