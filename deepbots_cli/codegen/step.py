@@ -8,7 +8,6 @@ observation. Failure beats success; terminated beats truncated.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 from deepbots_cli.codegen.names import block, indent, quoted, targets_code, tuple_code, with_comment
@@ -22,6 +21,7 @@ from deepbots_cli.program import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINA
 from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
+from deepbots_cli.program.world import whole_timesteps
 
 _SUMMANDS = 100
 
@@ -571,17 +571,17 @@ def _success(
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
     """Return the number of timesteps at which an episode is cut short, and the name of that limit; a step is
     cut short only by an ending."""
-    limits = supervisor.scenario.truncation
-    ticks = []
+    scenario = supervisor.scenario
+    limits, ticks = scenario.truncation, dict[str, int]()
     if limits.max_steps is not None:
-        ticks.append((limits.max_steps * supervisor.scenario.action_repeat, "max_steps"))
+        ticks["max_steps"] = limits.max_steps * scenario.action_repeat
     if limits.max_time is not None:
-        # a limit of a whole number of timesteps must not gain one by rounding
-        ticks.append(
-            (max(1, math.ceil(limits.max_time / supervisor.scenario.world.timestep - 1e-9)), "max_time")
-        )
-    # Of equal limits, the name is `max_steps`, since tuples compare their texts next.
-    return min(ticks) if ticks else None
+        ticks["max_time"] = max(1, whole_timesteps(limits.max_time, scenario.world.timestep))
+    programs = (scenario, *(member.program for member in scenario.members.values()))
+    successes = {name for program in programs for name in program.agent.success}
+    # Of equal limits, the name is that of a success, else `max_steps`.
+    first = min(ticks, key=lambda name: (ticks[name], name not in successes), default=None)
+    return None if first is None else (ticks[first], first)
 
 
 def _after_what_they_use(endings: tuple[Expression, ...]) -> list[Expression]:

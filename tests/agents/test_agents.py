@@ -432,9 +432,13 @@ def test_a_limit_is_a_success_of_the_agents_that_it_names(limited_carts: Path) -
     assert successes == {"left": True, "right": True}
 
 
-def test_one_agent_succeeds_at_a_limit(tmp_path: Path) -> None:
-    limit = "truncation={max_steps: {limit: 2, success: all}}"
-    with closing(api.make(write_scenario(tmp_path, ONE_CARTPOLE), overrides=[limit])) as world:
+@pytest.mark.parametrize(
+    "limits",
+    ["{max_steps: {limit: 2, success: all}}", "{max_steps: 2, max_time: {limit: 64 ms, success: all}}"],
+)
+def test_one_agent_succeeds_at_a_limit_also_beside_an_equal_one(tmp_path: Path, limits: str) -> None:
+    overrides = [f"truncation={limits}"]
+    with closing(api.make(write_scenario(tmp_path, ONE_CARTPOLE), overrides=overrides)) as world:
         world.reset(seed=0)
         for _ in range(2):
             *_, info = world.step(0)
