@@ -251,7 +251,7 @@ class Simulator(Player):
         episode_steps = self._planned_steps(environment, rollout)
         next(episode_steps)
         speeds = SpeedWatch(environment)
-        check_rays = self._rays.watch(environment.engine)
+        check_rays = self._rays.watch(environment)
         check_wheels = (
             self._wheels.watch(environment.engine) if report else lambda: None
         )  # a case may have another robot file

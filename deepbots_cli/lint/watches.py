@@ -373,10 +373,12 @@ class RayWatch:
             self._sensors if scenario.world.ground is not None else (), inf
         )
 
-    def watch(self, engine: Engine) -> Callable[[], None]:
-        """Return a function that checks the world of an engine, to be called in each step."""
-        if not self.clearances and not self.depths:
+    def watch(self, environment: Supervisor) -> Callable[[], None]:
+        """Return a function that checks an environment, to be called in each step. The world of a case that
+        differs may lack bodies, and is not checked."""
+        if environment.world != self._world or not (self.clearances or self.depths):
             return lambda: None
+        engine = environment.engine
         tops = {body.name: _top_of(engine, body) for body in self._world.objects if body.solid}
         tops |= {
             body.name: _top_of_robot(engine, body.name, kinematics.robot_bounds(body.model))
