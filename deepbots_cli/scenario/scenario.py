@@ -235,7 +235,9 @@ class Scenario(Section):
             ScenarioError: The file has findings at error level.
             UsageError: The file does not exist.
         """
-        from deepbots_cli.document import descend, load, shipped, to_data
+        from deepbots_cli.diagnostics import Findings, Span
+        from deepbots_cli.document import descend, load, shipped, to_data, walk
+        from deepbots_cli.document.load import with_settings_at
         from deepbots_cli.errors import ScenarioError
         from deepbots_cli.scenario.validate import findings_of, validate
 
@@ -245,14 +247,22 @@ class Scenario(Section):
         if root is None or scenario is None or document.findings.errors:
             raise ScenarioError(list(document.findings))
         data: Any = to_data(root)
-        for place, kind, value in visit_values(scenario):
-            node = descend(root, place)[0]
-            file = document.directory_of(node.span) / str(value)
-            if isinstance(kind, FilePath) and value not in shipped.robot_names() and file.exists():
+        variants: list[NodePath] = [("evaluation", "cases", name) for name in scenario.evaluation.cases]
+        variants += [("curriculum", number) for number in range(len(scenario.stages))]
+        files: dict[Span, str] = {}
+        for version in (root, *(with_settings_at(root, variant) for variant in variants)):
+            model = validate(version, Findings())
+            for place, kind, value in visit_values(model) if model is not None else ():
+                span = descend(version, place)[0].span
+                file = document.directory_of(span) / str(value)
+                if isinstance(kind, FilePath) and value not in shipped.robot_names() and file.exists():
+                    files[span] = str(file.resolve())
+        for place, node in walk(root):
+            if node.span in files:
                 holder = data
                 for step in place[:-1]:
                     holder = holder[step]
-                holder[place[-1]] = str(file.resolve())
+                holder[place[-1]] = files[node.span]
         try:
             return cls.model_validate(data)
         except ValidationError as invalid:  # `validate` leaves the syntax of expressions to the compiler

@@ -134,6 +134,19 @@ def test_a_file_with_a_mistake_in_an_expression_is_not_read(tmp_path: Path) -> N
         Scenario.from_yaml(file)
 
 
+def test_files_that_only_a_case_or_a_stage_names_are_found_from_anywhere(tmp_path: Path) -> None:
+    (tmp_path / "cart.urdf").write_text((ROOT / "robots/urdf/cartpole.urdf").read_text())
+    file = tmp_path / "two.yaml"
+    file.write_text(
+        "deepbots: 1\nextends: cartpole\nevaluation: {cases: {same: {set: {robots.cart.urdf: cart.urdf}}}}\n"
+        "curriculum: [{name: first, set: {robots.cart: {urdf: cart.urdf}}, until: 9 steps}, {name: last}]\n",
+        encoding="utf-8",
+    )
+    scenario = Scenario.from_yaml(file)
+    assert scenario.evaluation.cases["same"].set == {"robots.cart.urdf": str(tmp_path / "cart.urdf")}
+    assert scenario.stages[0].set == {"robots.cart": {"urdf": str(tmp_path / "cart.urdf")}}
+
+
 def test_the_json_schema_of_the_model_is_the_one_for_editors() -> None:
     assert Scenario.model_json_schema()["title"] == "deepbots scenario"
 
