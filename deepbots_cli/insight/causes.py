@@ -559,8 +559,8 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.failure is not None and e.failure.ends_at_reset,
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure)},
         text="An episode cannot start after {steps} steps of training: {error}.",
-        advice="Change the start under `reset` or the threshold of the ending. `deepbots lint --deep"
-        " SCENARIO` counts the starts that end at once.",
+        advice="Change the start under `reset` or the threshold of the ending. `lint --deep` counts the starts"
+        " that end at once.",
         command="lint --deep {run}/resolved.yaml",
     ),
     Cause(
@@ -571,7 +571,7 @@ CAUSES: tuple[Cause, ...] = (
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure), "episodes": len(e.episodes)},
         text="The training stopped with an error after {steps} steps: {error}.",
         advice="Use max(...) to keep divisors and arguments of sqrt and log above 0, or lower"
-        " `train.learning_rate`. `deepbots diagnose RUN/failures/NNNN.json` explains the episode.",
+        " `train.learning_rate`.",
     ),
     Cause(
         name="fell_apart",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import html
 import json
+import re
 import shutil
 from collections.abc import Callable
 from contextlib import closing
@@ -377,6 +378,13 @@ def test_the_page_names_every_cause_and_every_planted_one_is_known():
     assert [name for name in names if f"`{name}`" not in text] == []
     assert {entry["cause"] for entry in BROKEN} <= set(names)
     assert all("{" in row.text for row in (*CAUSES, *ROWS))
+
+
+def test_the_commands_of_an_advice_name_nothing_to_fill_in_but_the_run():
+    """The studio has a button for each of them."""
+    commands = [command for cause in CAUSES for command in re.findall("`deepbots [^`]+`", cause.advice)]
+    assert commands
+    assert [command for command in commands if re.search(r"(?! RUN\b)[ /][A-Z]", command)] == []
 
 
 @pytest.mark.slow
