@@ -48,6 +48,7 @@ _MAX_STARTS, _MAX_WITHOUT_EFFECT = 6, 2  # the largest number of drawn values in
 _MAX_TICKS = 6  # for an axis whose numbers may be long
 _WIDTH, _WIDE_WIDTH = 5.0, 8.0  # inches
 _MIN_CLIMB = 0.25  # share of the longer side; a trajectory that climbs more is also drawn from the side
+_MIN_SIDE_M = 0.002  # m; the outline of a flat mesh would have no area
 _MIN_WIDTH = 0.1  # share of the longer side; of a narrower trajectory, the longer side is drawn over time
 _TIME = -1  # stands for the time instead of the number of an axis
 
@@ -427,7 +428,9 @@ def outline(shape: Any, pose: Frame) -> list[Triple]:
         case Cylinder(radius, length):
             points = placed((radius * x, radius * y, z) for x, y in ring for z in (-length / 2, length / 2))
         case _:
-            points = placed(product(*zip(*bounds_of_shape(shape), strict=True)))  # type: ignore[arg-type]
+            sides = zip(*bounds_of_shape(shape), strict=True)
+            ends = ((low, max(high, low + _MIN_SIDE_M)) for low, high in sides)
+            points = placed(product(*ends))  # type: ignore[arg-type]
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]
 
 

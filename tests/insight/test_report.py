@@ -10,6 +10,7 @@ import math
 import re
 import shutil
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ pytest.importorskip("mcap")
 
 from deepbots_cli import api
 from deepbots_cli.cli import main
+from deepbots_cli.frames import IDENTITY_FRAME
 from deepbots_cli.insight.episode import explain, explanation_json
 from deepbots_cli.insight.figures import lessons, outline, trajectories
 from deepbots_cli.insight.report import Report
@@ -30,7 +32,7 @@ from deepbots_cli.insight.trace import Trace, trace_recorded
 from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.statistics import mean_interval
 from deepbots_cli.program.world import WorldModel
-from deepbots_cli.robots.model import Box, Capsule, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Mesh, Sphere
 from deepbots_cli.view import recordings
 from deepbots_cli.view.episodes import Showing
 from deepbots_cli.view.replay import closing_player
@@ -336,6 +338,14 @@ def test_the_outline_of_an_object_is_as_it_stands():
         for a in (-0.1, 0.1)
         for b in (-0.3, 0.3)
     )
+
+
+def test_the_outline_of_a_flat_mesh_is_a_line(tmp_path):
+    file = tmp_path / "board.obj"
+    file.write_text("v 0 -1 0\nv 0 1 0\nv 0 1 1\nv 0 -1 1\nf 1 2 3 4\n")
+    mesh = Mesh(str(file), sha256(file.read_bytes()).hexdigest())
+    ys = [y for _, y, _ in outline(mesh, IDENTITY_FRAME)]
+    assert (min(ys), max(ys)) == (-1.0, 1.0)
 
 
 @pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)])
