@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -47,6 +48,7 @@ _GIF_COLORS = 96
 _GIF_SHADE = 8  # of 256; shades that are closer are one color
 _SUPERSAMPLING = 2  # the factor by which pictures are drawn larger before they are reduced
 _FOLLOWED_ROOM = 1.2  # the factor on the reach of a robot from its origin, on each side
+_MIN_CAMERA_DISTANCE_M = 1e-6
 _LABEL_SPACING_PX = 18  # the distance of two labels
 
 Point = tuple[float, float]
@@ -68,20 +70,25 @@ class Viewpoint:
     """The factor by which the pictures of a clip are drawn larger before they are reduced."""
 
     def view(self, usual: View) -> View:
-        """Return the view, given the one without `eye` and `target`."""
+        """Return the view, given the one without `eye` and `target`.
+
+        Raises:
+            UsageError: The camera is at the point that it looks at.
+        """
         if self.eye is None and self.target is None:
             return usual
         target = self.target or usual.target
-        return replace(
-            usual, eye=self.eye or frames.add(target, frames.subtract(usual.eye, usual.target)), target=target
-        )
+        eye = self.eye or frames.add(target, frames.subtract(usual.eye, usual.target))
+        if math.dist(eye, target) < _MIN_CAMERA_DISTANCE_M:
+            raise UsageError("the camera is at the point that it looks at; write another --from or --at")
+        return replace(usual, eye=eye, target=target)
 
     def now(self, player: Player, usual: View) -> View:
         """Return the view of the newest frame, given the one of the whole scene. From an `eye` without a
         `target`, it looks at the first robot.
 
         Raises:
-            UsageError: There is no robot to follow of this name.
+            UsageError: There is no robot to follow of this name, or the camera is at its target.
         """
         robots = {robot.name: robot for robot in player.env.world.robots}
         if self.follow is None:
@@ -401,12 +408,17 @@ def _pictures(
 
     def taken() -> Iterator[Any]:
         for frame in world_frames:
-            if frame.step % every == 0 or frame.ended_by is not None:
+            if _is_drawn(frame, every):
                 on_frame(frame)
                 view = shot.now(player, player.view(shot.width, shot.height))
                 yield player.render(replace(view, width=shot.width, height=shot.height, samples=shot.samples))
 
     return taken(), speed / player.program.period / every
+
+
+def _is_drawn(frame: WorldFrame, every: int) -> bool:
+    """Return whether a clip shows a frame: each of so many steps, and the last one of an episode."""
+    return frame.step % every == 0 or frame.ended_by is not None
 
 
 def write_mp4(path: Path, pictures: Iterator[Any], rate: float) -> None:
@@ -444,8 +456,10 @@ def write_gif(path: Path, pictures: Iterator[Any], rate: float) -> None:
     )
     palette = sample.quantize(_GIF_COLORS, method=Image.Quantize.MEDIANCUT, kmeans=2)
     small = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    # ms; browsers show shorter delays than 20 ms as 100 ms. The last picture stays for 1.2 s.
-    pause = [*[max(20, round(1000 / rate))] * (len(small) - 1), 1200]
+    # ms, in steps of 10, which add up to the time of the episode. Browsers show shorter delays than 20 ms as
+    # 100 ms. The last picture stays for 1.2 s.
+    ends = [10 * round(100 * number / rate) for number in range(len(small))]
+    pause = [*(max(20, end - begin) for begin, end in pairwise(ends)), 1200]
     small[0].save(
         path,
         format="GIF",
@@ -478,7 +492,7 @@ def _write_page(player: Player, path: Path, world_frames: Iterator[WorldFrame], 
         for frame in world_frames:
             world.set_frame(frame)
             for part in range(1, parts + 1):
-                if frame.step % every == 0:
+                if _is_drawn(frame, every):
                     world.draw(part / parts)
                 recording.insert_sleep(pause / parts)
         text = recording.as_html()

@@ -688,6 +688,37 @@ def test_a_gif_keeps_the_color_of_a_small_robot(tmp_path):
         assert np.abs(np.asarray(clip.convert("RGB")).astype(int)[54, 64] - (30, 90, 200)).max() < 20
 
 
+@pytest.mark.parametrize("rate", [12.5, 1 / 0.096, 1 / 0.067])
+def test_a_gif_is_as_long_as_the_episode(tmp_path, rate):
+    shades = np.random.default_rng(0).integers(0, 256, (50, 16, 16, 3), np.uint8)
+    write_gif(tmp_path / "clip.gif", iter(shades), rate)
+    with Image.open(tmp_path / "clip.gif") as clip:
+        pauses = [clip.info["duration"] for number in range(49) if not clip.seek(number)]
+    assert sum(pauses) == pytest.approx(49_000 / rate, abs=6)
+
+
+def test_an_offline_page_ends_as_the_episode_does(tmp_path, monkeypatch):
+    scene = pytest.importorskip("deepbots_cli.view.scene")
+    set_frame, draw = scene.WorldScene.set_frame, scene.WorldScene.draw
+    shown = []
+
+    def spy(world, frame, **options):
+        shown.append(frame)
+        set_frame(world, frame, **options)
+
+    def drawing(world, share):
+        drawn.append(shown[-1])
+        draw(world, share)
+
+    drawn = []
+    monkeypatch.setattr(scene.WorldScene, "set_frame", spy)
+    monkeypatch.setattr(scene.WorldScene, "draw", drawing)
+    fast = Showing("cartpole", ("world.timestep=8 ms", "world.substeps=1"))
+    with closing(Player(fast.open(), "zero")) as player:
+        last = write_clip(player, tmp_path / "clip.html", Viewpoint(), seed=0, episode=0)
+    assert last.ended_by == drawn[-1].ended_by == "fallen"
+
+
 def test_an_offline_page_contains_the_episode(tmp_path):
     pytest.importorskip("viser")
     out = tmp_path / "clip.html"
@@ -725,6 +756,7 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, de
             "--follow moves the camera; leave out --from",
         ),
         (["render", "cartpole", "--from", "nan,0,0"], "not a number"),
+        (["render", "cartpole", "--from", "1,1,1", "--at", "1,1,1"], "at the point that it looks at"),
         (["render", "find_ball", "--driver", "nobody", "-o", "b.gif"], "there is no driver 'nobody'"),
         (["render", "cartpole", "--driver", "policy", "-o", "b.gif"], "only a run has a policy"),
         (
