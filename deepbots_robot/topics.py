@@ -27,7 +27,7 @@ class Field:
     `joints` are the joints of the numbers in their order; of other fields, `components` are the names of the
     numbers, empty for a single one. The unit is that of SI, `1` for plain numbers and truth values. A picture
     has the shape (rows, columns, channels). `scan` has the first and last angle (rad) and the reach (m) of a
-    fan of rays, as far as they are known.
+    fan of rays; None for other rays.
     """
 
     name: str
@@ -257,7 +257,7 @@ def _candidates(field: Field, own: str, commands: bool) -> list[Topic]:
         types = ["sensor_msgs/Image"]
     elif field.kind in ("gyro", "accelerometer", "orientation"):
         types.insert(0, "sensor_msgs/Imu")
-    elif field.kind in ("lidar", "laser", "sonar", "infrared"):
+    elif field.kind in ("lidar", "laser", "sonar", "infrared") and field.scan is not None:
         types.insert(0, "sensor_msgs/LaserScan" if field.count > 1 else "sensor_msgs/Range")
     elif field.kind == "position":
         types.insert(0, "geometry_msgs/PoseStamped")

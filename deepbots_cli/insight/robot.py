@@ -28,7 +28,7 @@ from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, Sta
 from deepbots_cli.insight.export.devices import Reading, Readings, Watch, output, with_probes
 from deepbots_cli.program import Program, generated, identity
 from deepbots_cli.program.robots import Robot, Route
-from deepbots_cli.program.topics import mapping
+from deepbots_cli.program.topics import mapping, sensor_fields
 from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
@@ -372,8 +372,10 @@ def serve_robot(
         for command in robot.commands
     ]
     topics = mapping(program)
+    scans = {field.name: field.scan for field in sensor_fields(program)}
+    fields = [replace(field_of(entry.info), scan=scans.get(entry.info.name)) for entry in readings]
     try:
-        sends = mapped([field_of(reading.info) for reading in readings], topics)
+        sends = mapped(fields, topics)
         receives = mapped([field_of(entry) for entry in outputs], topics, commands=True)
         about = About(
             "robot",

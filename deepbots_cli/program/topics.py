@@ -4,14 +4,26 @@ world, commands."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import isclose
 
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.scalar import EngineRead, walk
 from deepbots_cli.expressions.types import Components
 from deepbots_cli.program import Program
-from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
+from deepbots_cli.program.robots import (
+    Actuator,
+    Cartesian,
+    CustomActuator,
+    Motor,
+    RayConfig,
+    Robot,
+    Sensor,
+    Thrust,
+)
 from deepbots_robot.topics import Field, Topic, first_mapping
+
+_ANGLE_TOLERANCE = 1e-3  # rad; less than between two of 4,096 rays around a robot
 
 
 def components_of(function: str) -> Components:
@@ -63,10 +75,6 @@ def reading_fields(program: Program) -> list[Field]:
 def sensor_field(robot: Robot, sensor: Sensor) -> Field:
     """Return a sensor as a field."""
     on_joints = sensor.kind.startswith("joint_")
-    scan = None
-    if sensor.beams is not None and sensor.optics is None:
-        angles = [pose.rpy[2] for pose in sensor.beams.rays]
-        scan = (angles[0], angles[-1], sensor.beams.reach)
     return Field(
         name=f"{robot.name}.{sensor.name}",
         robot=robot.name,
@@ -75,8 +83,21 @@ def sensor_field(robot: Robot, sensor: Sensor) -> Field:
         shape=sensor.optics.shape if sensor.optics is not None else (max(1, len(sensor.components)),),
         joints=sensor.subjects if on_joints else (),
         components=sensor.components,
-        scan=scan,
+        scan=None if sensor.beams is None else _scan(sensor.beams),
     )
+
+
+def _scan(beams: RayConfig) -> tuple[float, float, float] | None:
+    """Return the first and the last angle of rays and their reach; None for readings of rays that are not a
+    fan from one point with equal angles between them, as a `sensor_msgs/LaserScan` is."""
+    first, last = beams.rays[0].rpy[2], beams.rays[-1].rpy[2]
+    turn = (last - first) / max(1, len(beams.rays) - 1)
+    is_fan = all(
+        (ray.xyz, ray.rpy[:2]) == (beams.rays[0].xyz, beams.rays[0].rpy[:2])
+        and isclose(ray.rpy[2], first + number * turn, abs_tol=_ANGLE_TOLERANCE)
+        for number, ray in enumerate(beams.rays)
+    )
+    return (first, last, beams.reach) if is_fan or beams.combined != "each" else None
 
 
 _MOTOR_UNITS = {

@@ -13,7 +13,11 @@ import pytest
 IdlStruct = pytest.importorskip("cyclonedds.idl").IdlStruct
 rosbags = pytest.importorskip("rosbags.typesys")
 
+from deepbots_cli import api  # noqa: E402
+from deepbots_cli.errors import UsageError  # noqa: E402
+from deepbots_cli.insight.robot import serve_robot  # noqa: E402
 from deepbots_robot import ros  # noqa: E402
+from deepbots_robot.serving import ServeError, Transport  # noqa: E402
 from deepbots_robot.topics import PARTS, Field, Topic, first_mapping, part_of  # noqa: E402
 
 STORE = rosbags.get_typestore(rosbags.Stores.ROS2_HUMBLE)
@@ -147,6 +151,37 @@ def test_a_free_ray_is_as_far_as_the_scanner_sees() -> None:
     codec = ros.Codec("sensor_msgs/LaserScan", [(FIELDS[4], Topic("/s", "sensor_msgs/LaserScan"))])
     message = codec.encode({"dog.scan": [1.0, 2.0, 3.0, math.inf, 1.0]}, 1.0)
     assert codec.decode(message)["dog.scan"].tolist() == [1.0, 2.0, 3.0, 3.0, 1.0]
+
+
+class _Kept(Transport):
+    """Keeps what a robot sends in place of a link."""
+
+    def open(self, receives: Any, sends: Any, **_: Any) -> Any:
+        self.__dict__["sends"] = {field.name: (field, topic) for field, topic in sends}
+        raise ServeError("kept")
+
+
+def test_a_scan_of_a_simulated_robot_has_its_angles_and_only_a_fan_of_rays_is_one() -> None:
+    sensor = "robots.cart.sensors.{}={{type: {}, link: pole, range: 0 .. 2 m, rays: {}}}".format
+    observed = "cart.fan: 0 .. 2 m, cart.sides: 0 .. 2 m, cart.gap: 0 .. 2 m"
+    overrides = [
+        sensor("fan", "lidar", "3, angle_range: 90 .. -90 deg"),
+        sensor("sides", "infrared", "{ahead: {}, left: {yaw: 90 deg}, right: {yaw: -90 deg}}"),
+        sensor("gap", "sonar", "3, angle_range: 9 .. -9 deg, measure: nearest"),
+        f"observation={{cart.pole_angle: -20 .. 20 deg, {observed}}}",
+    ]
+    transport = _Kept()
+    with pytest.raises(UsageError, match="kept"):
+        next(serve_robot(api.compile("cartpole", overrides=overrides).program, transport))
+    sends = transport.__dict__["sends"]
+    codec = ros.Codec("sensor_msgs/LaserScan", [sends["cart.fan"]])
+    message = codec.encode({"cart.fan": [1.0, 2.0, 0.5]}, 1.0)
+    half = math.pi / 2
+    angles = (message.angle_min, message.angle_max, message.angle_increment, message.range_max)
+    assert angles == pytest.approx((half, -half, -half, 2.0))
+    codec = ros.Codec("sensor_msgs/Range", [sends["cart.gap"]])
+    assert codec.encode({"cart.gap": [1.0]}, 1.0).max_range == 2.0
+    assert sends["cart.sides"][1].type == "std_msgs/Float64MultiArray"
 
 
 @pytest.mark.parametrize(
