@@ -34,7 +34,9 @@ _TYPED_S = 0.6
 
 
 def with_buttons(text: str) -> str:
-    """Return the text of a lesson, in which a command names what does the same on the page."""
+    """Return the text of a lesson, in which a command names what does the same on the page, without links to
+    files that the page does not have."""
+    text = re.sub(r"\[([^\]]+)\]\(\.\./[^)]+\)", r"\1", text)
     for command, words in _ON_THE_PAGE.items():
         text = re.sub(rf"(?m)^\$ deepbots {command}$", rf"\g<0>  # or {words}", text)
     return text
@@ -61,9 +63,8 @@ class LessonTab:
             self._check = ui.button("Check", icon=ICONS["check"], on_click=self._mark)
             self._check.props("dense unelevated no-caps")
         with ui.element("div").classes("studio-lesson"):
-            text = _with_pictures(lesson).replace(
-                "```yaml part", "```yaml"
-            )  # which the renderer does not know
+            # The renderer does not know the word `part`.
+            text = _with_pictures(lesson).replace("```yaml part", "```yaml")
             ui.markdown(with_buttons(text)).classes("studio-answer studio-lesson-text")
             self._steps = ui.element("div").classes("studio-lesson-steps")
         with self._steps:
@@ -147,7 +148,7 @@ def _with_pictures(lesson: Lesson) -> str:
     """Return the text of a lesson with addresses of its pictures, which the page of the studio may read."""
     from nicegui import app
 
-    text = lesson.text("text.md")
-    for name in re.findall(r"\]\((\w+\.(?:png|svg))\)", text):
-        text = text.replace(f"]({name})", f"]({app.add_media_file(local_file=lesson.folder / name)})")
-    return text
+    def address(picture: re.Match[str]) -> str:
+        return f"]({app.add_media_file(local_file=lesson.folder / picture[1])})"
+
+    return re.sub(r"\]\((\w+\.(?:png|svg))\)", address, lesson.text("text.md"))

@@ -923,6 +923,13 @@ def test_the_commands_of_lessons_name_what_does_the_same_on_the_page() -> None:
     assert [line for line in lines if re.search("--(engine|case|seeds) .*# or ", line)] == []
 
 
+def test_a_lesson_on_the_page_has_no_link_that_leads_away_from_it() -> None:
+    text = with_buttons("Read [lesson 4](../04-endings/text.md) [1](https://example.org).")
+    assert text == "Read lesson 4 [1](https://example.org)."
+    shown = [with_buttons(lesson.text("text.md")) for lesson in shipped_lessons()]
+    assert [link for text in shown for link in re.findall(r"\]\([^)]*\.md\)", text)] == []
+
+
 def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):
     robot = robot_path("balancer").read_text("utf-8")
     wrong = re.sub(r'(<visual>.*?<box size=)"[^"]*"', r'\1"200 150 80"', robot, count=1, flags=re.DOTALL)
