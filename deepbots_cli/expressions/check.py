@@ -830,8 +830,8 @@ class _Checker:
         return groups[0] if groups else components_of(values, node, self._report)
 
     def _check_values(self, function: Function, bound: list[tuple[Param, TypedNode]]) -> None:
-        """Report DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a draw
-        from a falling range or with a negative standard deviation."""
+        """Report DB504 for angles beyond a turn, DB406 for an argument out of the domain, DB105 for a falling
+        range or a negative standard deviation."""
         for param, value in bound:
             if param.dimension == ANGLE and function.result(ANGLE) != ANGLE:
                 warn_of_degrees(value, self._report)
@@ -841,8 +841,8 @@ class _Checker:
                 headline = f"{argument} can be as low as {interval.low:g}"
                 self._fault("DB406", value, headline, keep_above_help(param.domain.low))
         values = [value for _, value in bound]
-        if function.family is Family.DRAW and function.params[0].form is Form.RANGE:
-            low, high = values
+        if ends := [value for param, value in bound if param.form is Form.RANGE]:
+            low, high = ends
             with suppress(StopChecking):
                 _require_rising(TypedRange(low, high, low.start, high.end), self._report)
         if function.family is Family.DRAW and function.params[0].form is Form.SPREAD:
