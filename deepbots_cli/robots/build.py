@@ -225,8 +225,9 @@ class Build:
 
     @cached_property
     def size(self) -> float:
-        """The longest side of the box around the robot."""
-        return max(box_sides(robot_bounds(self.model))) or 1.0
+        """The longest side of the box around `boxes` and the origins of the links."""
+        origins = [(origin, origin) for origin, _ in self.frames.values()]
+        return max(box_sides(box_around([*self.boxes.values(), *origins]))) or 1.0
 
     def rigid(self, link: str) -> list[str]:
         """Return a link and all links that fixed joints attach to it, downwards."""

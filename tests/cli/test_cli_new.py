@@ -236,6 +236,27 @@ def test_new_counts_the_warnings_about_a_robot_file(deepbots, tmp_path):
     assert "1 warning; see: deepbots lint odd.yaml" in deepbots("new", "odd", "--urdf", "odd.urdf").err
 
 
+def test_a_visual_in_millimeters_changes_no_size_of_a_scenario(deepbots, tmp_path):
+    right = shipped.robot_path("rover").read_text(encoding="utf-8")
+    wrong = re.sub(r'(<visual>.*?<box size=)"[^"]*"', r'\1"200 150 80"', right, count=1, flags=re.DOTALL)
+    texts = []
+    for robot in (right, wrong):
+        (tmp_path / "own.urdf").write_text(robot, encoding="utf-8")
+        created = deepbots("new", "own", "--urdf", "own.urdf", "--force")
+        texts.append((tmp_path / "own.yaml").read_text(encoding="utf-8"))
+    assert texts[0] == texts[1]
+    assert "1 warning; see: deepbots lint own.yaml" in created.err
+
+
+def test_a_robot_that_millimeters_hide_is_refused_with_the_finding(deepbots, tmp_path):
+    right = shipped.robot_path("rover").read_text(encoding="utf-8")
+    wrong = re.sub(r'(<collision>.*?<box size=)"[^"]*"', r'\1"200 150 80"', right, count=1, flags=re.DOTALL)
+    (tmp_path / "own.urdf").write_text(wrong, encoding="utf-8")
+    refused = deepbots("new", "own", "--urdf", "own.urdf", code=2).err
+    assert "in millimeters, 1000 times too large" in refused
+    assert "deepbots is not sure what own.urdf is" in refused
+
+
 @pytest.mark.parametrize("template", [*Template])
 def test_with_its_schema_a_new_scenario_leads_an_editor_to_its_names(deepbots, tmp_path, template):
     created = deepbots("new", "mine", "sub", "--template", template, "--schema", "--json")

@@ -21,7 +21,7 @@ from deepbots_cli.cli.arguments import RobotError, open_robot, robot_path, xacro
 from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
-from deepbots_cli.cli.starters.first_scenario import Choices, FirstScenario, Task
+from deepbots_cli.cli.starters.first_scenario import UNIT_CODES, Choices, FirstScenario, Task
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.cli.webots import Starter, entry_of_webots
 from deepbots_cli.cli.written_files import Files, modeline, write_new
@@ -318,12 +318,17 @@ def from_robot(
             that can be driven, no kind is sure, or the task does not suit the robot.
         RobotError: The file is not a valid robot.
     """
-    file = open_robot(robot, permissions.folders, choices.xacro)[0]
+    file, findings = open_robot(robot, permissions.folders, choices.xacro)
     copies = _copies(file, robot_path(robot, permissions.folders)) if copy else {}
     reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
     if copies:  # a copy is expanded
         choices = replace(choices, xacro={})
-    first = starters.scenario(file.model, reference, scenario_title(name), choices)
+    try:
+        first = starters.scenario(file.model, reference, scenario_title(name), choices)
+    except UsageError:
+        if units := [finding for finding in findings if finding.code in UNIT_CODES]:
+            terminal.show_findings(units)  # a mesh in millimeters hides what the robot is
+        raise
     return {PurePosixPath(f"{name}.yaml"): first.text.encode(), **copies}, first
 
 

@@ -484,7 +484,7 @@ def drivable(model: RobotModel, urdf: str) -> tuple[Build, dict[str, dict[str, s
     return build, settings
 
 
-_UNIT_CODES = ("DB306", "DB507")
+UNIT_CODES = ("DB306", "DB507")
 
 
 @dataclass(frozen=True)
@@ -507,7 +507,7 @@ class DroppedRobot:
         )
         listed = sorted(findings, key=lambda finding: finding.severity != "error")
         if file is not None and not findings.errors:
-            listed = [finding for finding in listed if finding.code in _UNIT_CODES]
+            listed = [finding for finding in listed if finding.code in UNIT_CODES]
         listed = listed[:_MAX_FINDINGS]
         fixes = {
             f"Correct line {finding.span.start_position.line}": edited(finding.span.source, finding.fix.edits)
@@ -521,7 +521,7 @@ class DroppedRobot:
         try:
             return cls(drivable(file.model, path.name)[0], problem, line, fixes)
         except UsageError as error:
-            return cls(None, str(error))
+            return cls(None, f"{problem}{error}", line, fixes)
 
 
 def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> FirstScenario:
