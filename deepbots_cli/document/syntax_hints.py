@@ -545,7 +545,7 @@ def _behind_value(problem: _Problem) -> Finding | None:
         help = f"indent {near.name} like the lines below it: `{' ' * line.indent}{value}`"
     elif others:
         other = others[0]
-        help += f"; or by {other.indent}, like {other.name}"
+        help += f"; or to {counted(other.indent, 'space')}, like {other.name}"
     labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
     return problem.finding(headline, help, at, length, fix, labels)
 
@@ -573,7 +573,7 @@ def reindentations(finding: Finding) -> Iterator[Finding]:
     for line, depth in sorted(moves, key=lambda move: abs(move[1] - move[0].indent)):
         text = problem.rest_of_line(line.start).strip()
         headline = f"{line.name} is indented by {line.indent}, which does not fit the lines around it"
-        help = f"indent it by {depth}: `{' ' * depth}{text[:MAX_SHOWN]}`"
+        help = f"indent it to {counted(depth, 'space')}: `{' ' * depth}{text[:MAX_SHOWN]}`"
         fix = _indented(problem, line.start, line.indent, depth)
         yield problem.finding(headline, help, line.start + line.indent, max(1, len(line.key)), fix)
 

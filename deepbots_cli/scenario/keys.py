@@ -18,11 +18,13 @@ from deepbots_cli.diagnostics.nearest import (
     MAX_BESIDE,
     Replacement,
     is_typo,
+    nearest_first,
     nearest_word,
     suggest_replacement,
 )
 from deepbots_cli.document import nodes
 from deepbots_cli.document.nodes import NodePath, descend, to_data
+from deepbots_cli.expressions.types import shortened_list
 from deepbots_cli.scenario.base import (
     LENIENT,
     Kinds,
@@ -47,6 +49,7 @@ _MAX_VALUE_CHARACTERS = 400
 _LIKE_A_MISSING_KEY = 0.7
 """How like a missing key another key is at least, if it is probably the same one, misspelled."""
 _MAX_HOMES = 6
+_MAX_KEYS = 12
 _MAX_HOLDERS = 3
 """The number of mappings one level down that can have a name; above this, a suggestion is useless."""
 
@@ -66,8 +69,12 @@ def listed(words: Iterable[str]) -> str:
     return ", ".join(f"`{word}`" for word in words)
 
 
-def keys_of(shape: Shape | None) -> str | None:
-    return f"allowed keys: {listed(shape.model_fields)}" if isinstance(shape, type) else None
+def keys_of(shape: Shape | None, word: str = "") -> str | None:
+    """Return the keys of a section as help; of many, the ones most like `word` come first."""
+    if not isinstance(shape, type):
+        return None
+    keys = nearest_first(word, shape.model_fields, _MAX_KEYS)
+    return f"allowed keys: {shortened_list((f'`{key}`' for key in keys), _MAX_KEYS)}"
 
 
 def sentence_about_key(data: object, path: NodePath) -> str | None:
@@ -133,10 +140,10 @@ def suggestion_for(root: nodes.MappingNode, data: object, path: NodePath) -> Sug
     ):
         return Suggestion(_beside(_further_in(root, path, holders, section.model_fields), section))
     if near:
-        return Suggestion(f"did you mean `{near.text}`? {keys_of(section)}", near)
+        return Suggestion(f"did you mean `{near.text}`? {keys_of(section, key)}", near)
     if elsewhere := _home_elsewhere(path[:-1], key):
-        return Suggestion(f"`{key}` is a key {elsewhere}; {keys_of(section)}")
-    return Suggestion(keys_of(section))
+        return Suggestion(f"`{key}` is a key {elsewhere}; {keys_of(section, key)}")
+    return Suggestion(keys_of(section, key))
 
 
 def misspelled_key(
@@ -266,7 +273,7 @@ def _further_in(
     owner = descend(root, path[:-1])[1]
     outer, inner = (_indentation(owner) if owner else "") + _STEP, _indentation(key)
     lines = " or ".join(f"`{outer}{holder}:`" for holder in holders)
-    further = "" if len(inner) > len(outer) else f", and indent this line by {len(outer) + len(_STEP)} spaces"
+    further = "" if len(inner) > len(outer) else f", and indent this line to {len(outer) + len(_STEP)} spaces"
     return f"{why}: add the line {lines} above it{further}"
 
 

@@ -401,20 +401,19 @@ def _sections_above(
         if owner.span.source is source and re.compile(_ONLY_SPACE).fullmatch(
             source.text, owner.span.end, key.span.start
         ):
-            yield (*path, owner.text), 2
+            yield (*path, owner.text), _column(owner) + 2 - _column(key)
     for entry in holder.entries.values():
-        place = tuple(path)
-        while (
+        if (
             entry.key.span.source is source
             and isinstance(section := entry.value, nodes.MappingNode)
-            and section.entries
             and not section.span.text.startswith("{")
             and re.compile(_END_OF_LINE).fullmatch(source.text, section.span.end, key.span.start)
         ):
-            place, inner = (*place, entry.key.text), list(section.entries.values())
-            if (spaces := _column(inner[0].key) - _column(key)) > 0:
+            place = (*path, entry.key.text)
+            first = next(iter(section.entries.values()), None)
+            if first is not None and (spaces := _column(first.key) - _column(key)) > 0:
                 yield place, spaces
-            entry = inner[-1]
+            yield from _sections_above(place, section, key)
 
 
 def _column(node: Node) -> int:
@@ -452,6 +451,7 @@ def _unindented(entries: Sequence[nodes.Entry], section: str | int, spaces: int)
     source = first.span.source
     more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     begin = source.text.rfind("\n", 0, first.span.start) + 1
+    depth = first.span.start - begin + spaces
     starts = [
         match.start() for match in re.compile(_LINE).finditer(source.text, begin, entries[-1].value.span.end)
     ]
@@ -461,7 +461,7 @@ def _unindented(entries: Sequence[nodes.Entry], section: str | int, spaces: int)
         "DB101",
         first.span,
         f"`{first.text}`{more} {'are' if more else 'is'} not indented below `{section}`",
-        f"indent {'them' if more else 'it'} by {counted(spaces, 'space')}: `{' ' * spaces}{first.text}: ...`",
+        f"indent {'them' if more else 'it'} to {counted(depth, 'space')}: `{' ' * depth}{first.text}: ...`",
         fix=Fix(tuple(Edit(Span(source, start, start), " " * spaces) for start in starts), safe=False),
     )
 

@@ -241,7 +241,8 @@ def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text()
     right = _template("cartpole")
     moved = dict(_moved_lines(right, -2))
     assert len(moved) > 30
-    assert [number for number, wrong in moved.items() if _pressed(wrong) != right] == []
+    lines = [*moved.items(), *_moved_lines(right, -4)]
+    assert [number for number, wrong in lines if _pressed(wrong) != right] == []
     whole = _template("wheeled")
     further = [wrong for _, wrong in _moved_lines(whole, -4)]
     below_a_comment = [wrong for _, wrong in _moved_lines(whole, -2) if "\nangle: b" in wrong]
@@ -249,8 +250,8 @@ def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text()
     assert len(below_a_comment) == 1
     assert {_pressed(wrong) for wrong in further + below_a_comment} == {whole}
     apply = next(wrong for wrong in moved.values() if "\n  apply:" in wrong)
-    assert [(error.headline, error.span.text) for error in _errors(apply)] == [
-        ("`apply` is not indented below `cart`", "apply")
+    assert [(error.headline, error.span.text, error.help) for error in _errors(apply)] == [
+        ("`apply` is not indented below `cart`", "apply", "indent it to 4 spaces: `    apply: ...`")
     ]
 
 
