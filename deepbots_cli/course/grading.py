@@ -320,8 +320,11 @@ def as_csv(marks: Iterable[Marks]) -> str:
     return csv_text(rows)
 
 
-_PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+PAGE_HEAD = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="generator" content="deepbots grade">
+"""
+"""The beginning of a page by which `grade` recognizes its own."""
+_PAGE = """<meta name="viewport" content="width=device-width">
 <title>{title}</title>
 <style>
 body {{ font: 16px/1.5 system-ui, sans-serif; max-width: 46rem; margin: 2rem auto; padding: 0 1rem;
@@ -374,4 +377,4 @@ def as_page(lesson: Lesson, marks: Marks, seed: int) -> str:
         parts.append(f"<h2>Remarks</h2><ul>{items}</ul>")
     title = html.escape(f"{lesson.label}: {marks.student}")
     score = marks.score if marks.is_open else f"{marks.score} points"
-    return _PAGE.format(title=title, score=score, body="\n".join(parts))
+    return PAGE_HEAD + _PAGE.format(title=title, score=score, body="\n".join(parts))

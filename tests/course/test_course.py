@@ -391,7 +391,7 @@ def test_a_disk_that_is_full_leaves_steps_unmarked_and_no_zeros(lesson: Lesson) 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
 def test_a_process_that_another_program_ends_leaves_its_step_unmarked(
-    slow: Lesson, monkeypatch: pytest.MonkeyPatch
+    slow: Lesson, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
 ) -> None:
     def ended(*arguments: str, **options: Any) -> Process:
         process = Process(*arguments, **options)
@@ -399,9 +399,19 @@ def test_a_process_that_another_program_ends_leaves_its_step_unmarked(
         return process
 
     monkeypatch.setattr(grading, "Process", ended)
-    (marks,) = grade(slow, [("ada", slow.folder / "solution")])
-    assert marks.is_open
-    assert marks.all_remarks[0] == "mend: not marked: its process was ended (SIGTERM); mark it again"
+    (marks,) = json.loads(deepbots("grade", slow.folder, slow.folder / "solution", "--json", code=1).out)
+    assert marks["points"] is None
+    assert marks["remarks"][0] == "mend: not marked: its process was ended (SIGTERM); mark it again"
+
+
+def test_pages_of_students_of_an_earlier_class_are_not_left_among_those_of_this_one(
+    lesson: Lesson, deepbots: Deepbots, tmp_path: Path
+) -> None:
+    for name in ("ada", "bob"):
+        (tmp_path / name).mkdir()
+        put(tmp_path / "marks", notes="mine")
+        deepbots("grade", lesson.folder, name, "--html", "marks", "--force")
+    assert sorted(path.name for path in (tmp_path / "marks").iterdir()) == ["01 bob.html", "notes.yaml"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")

@@ -30,7 +30,7 @@ from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import atomic_write, check_folder, check_output
+from deepbots_cli.files import atomic_write, check_folder, check_output, read_at_most
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
@@ -303,7 +303,6 @@ def command_grade(
     from deepbots_cli.course.grading import (
         Interrupted,
         as_csv,
-        as_page,
         grade,
         hand_ins_of,
         heading,
@@ -353,10 +352,23 @@ def command_grade(
     terminal.show([{**one.data(), **about} for one in marks], *lines, as_json=as_json)
     save(marks)
     if html is not None:
-        html.mkdir(parents=True, exist_ok=True)
-        for number, one in enumerate(marks, 1):
-            name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in one.student)[:60]
-            (html / f"{number:02} {name}.html").write_text(as_page(lesson, one, seed), encoding="utf-8")
+        _write_pages(html, lesson, marks, seed)
     if not is_complete:
         terminal.note(f"interrupted: {len(finished)} of {counted(len(students), 'hand-in')} are marked")
         raise typer.Exit(INTERRUPTED)
+    if any(one.is_open for one in marks):
+        terminal.note("mark the hand-ins again that are `not marked`")
+        raise typer.Exit(FAILED)
+
+
+def _write_pages(folder: Path, lesson: Lesson, all_marks: list[Marks], seed: int) -> None:
+    """Write a page for each student in place of those of an earlier class."""
+    from deepbots_cli.course.grading import PAGE_HEAD, as_page
+
+    folder.mkdir(parents=True, exist_ok=True)
+    for page in folder.glob("*.html"):
+        if page.is_file() and read_at_most(page, len(PAGE_HEAD)) == PAGE_HEAD.encode():
+            page.unlink()
+    for number, marks in enumerate(all_marks, 1):
+        name = "".join(c if c.isalnum() or c in "-_ " else "_" for c in marks.student)[:60]
+        (folder / f"{number:02} {name}.html").write_text(as_page(lesson, marks, seed), encoding="utf-8")
