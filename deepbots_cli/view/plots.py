@@ -139,9 +139,8 @@ def _plot_detailed(
     for row, members in zip(rows, detailed, strict=True):
         left, right = row
         name = f"{members[0].name}: " if with_names else ""
-        has_endings = (
-            members[0].group not in groups_with_endings
-        )  # agents of one group have the same episodes
+        # Agents of one group have the same episodes.
+        has_endings = members[0].group not in groups_with_endings and any(log.endings for log in members)
         if not has_endings:
             _remove_right(row)
         heights.append(_plot_terms(left, members, styles, f"{name}reward terms of an episode", theme))

@@ -298,6 +298,15 @@ def test_a_curve_does_not_join_the_stages_of_a_curriculum_and_an_evaluation_has_
     assert marks["evaluations in stage crowded"] == ("s", [[30.0, 2.0]])
 
 
+def test_a_log_without_endings_has_no_empty_chart_of_them(tmp_path):
+    _run(tmp_path / "a", "x", [0, 2, 4, 6])
+    (log,) = training_logs.read_logs([tmp_path / "a"])
+    log.endings = {}
+    titles = [panel.get_title(loc="left") for panel in plots.plot([log]).axes]
+    assert [title for title in titles if "endings" in title or not title] == []
+    assert any("reward terms" in title for title in titles)
+
+
 def test_a_stage_whose_name_has_no_room_is_a_number_with_a_key(tmp_path):
     _run(
         tmp_path / "a",
