@@ -399,7 +399,7 @@ class WorldScene:
             head, pose = groups[link.name]
             if (name, head) not in self._nodes:
                 self._node((name, head))
-            for index, visual in enumerate(link.visuals):
+            for index, visual in enumerate(link.visuals or link.collisions):
                 self._add(f"{self._path_of((name, head))}/{number}_{index}", visual, pose)
         self._label((name, groups[model.root][0]), name)
 

@@ -28,6 +28,7 @@ from websockets.sync.client import connect
 
 import deepbots_cli.codegen
 from deepbots_cli.cli import main
+from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.program import RANDOM
@@ -220,6 +221,23 @@ def test_rays_are_drawn_between_two_steps_as_the_robot_is(monkeypatch):
         assert np.linalg.norm(lines[:, 1, :3] - lines[:, 0, :3], axis=1) == pytest.approx(
             frame.rays[key], abs=1e-6
         )
+
+
+def test_a_link_without_visuals_shows_its_collision_shapes(tmp_path, monkeypatch):
+    names = []
+    add = viser.SceneApi.add_cylinder
+
+    def added(self, name, *arguments, **options):
+        names.append(name)
+        return add(self, name, *arguments, **options)
+
+    monkeypatch.setattr(viser.SceneApi, "add_cylinder", added)
+    robot = shipped.robot_path("cartpole").read_text("utf-8")
+    (tmp_path / "bare.urdf").write_text(re.sub(r"(?s)<visual>.*?</visual>", "", robot), encoding="utf-8")
+    file = tmp_path / "mine.yaml"
+    file.write_text(CARTPOLE.replace("urdf: cartpole\n", "urdf: bare.urdf\n"))
+    with closing(Page(Showing(str(file)), port=0, driver="zero")):
+        assert len([name for name in names if "/cart/wheel" in name]) == 4
 
 
 def test_an_episode_that_was_driven_is_recorded_to_the_bit(tmp_path, monkeypatch):
