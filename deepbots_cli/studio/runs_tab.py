@@ -155,7 +155,7 @@ class RunsTab:
         if self._compared is not None:
             chart, logs, has_returns = self._compared
             chart.options.clear()
-            chart.options.update(comparison_chart(logs, has_returns=has_returns, dark=dark))
+            chart.options.update(comparison_chart(logs, has_returns=has_returns, dark=dark) or {})
             chart.update()
 
     def update(self) -> None:
@@ -277,8 +277,10 @@ class RunsTab:
                 ui.label(_unbroken(differences))
                 if not same_returns:
                     ui.label("Their rewards differ, so their returns cannot be compared.")
-            chart = ui.echart(comparison_chart(logs, has_returns=same_returns, dark=self._is_dark))
-            self._compared = chart.classes("studio-chart studio-compared"), logs, same_returns
+            options = comparison_chart(logs, has_returns=same_returns, dark=self._is_dark)
+            if options is not None:
+                chart = ui.echart(options).classes("studio-chart studio-compared")
+                self._compared = chart, logs, same_returns
         self.result.watch(task, place, sentence)
 
     async def diagnose(self, path: Path) -> None:

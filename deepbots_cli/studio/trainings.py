@@ -258,8 +258,9 @@ def training_chart(log: TrainingLog, *, dark: bool) -> dict[str, Any]:
     return options
 
 
-def comparison_chart(logs: dict[str, TrainingLog], *, has_returns: bool, dark: bool) -> dict[str, Any]:
-    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations.
+def comparison_chart(logs: dict[str, TrainingLog], *, has_returns: bool, dark: bool) -> dict[str, Any] | None:
+    """Return the chart of several runs: the lines of their trainings, and the dots of their evaluations; None
+    if there is nothing to draw.
 
     Without `has_returns`, it has success rates only, for runs whose returns do not mean the same.
     """
@@ -271,6 +272,8 @@ def comparison_chart(logs: dict[str, TrainingLog], *, has_returns: bool, dark: b
         for line in (*(returns if has_returns else ()), successes):
             # Runs with the same seed may begin alike, so the shorter run is drawn over the longer one.
             lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
+    if not any(line["data"] for line in lines):
+        return None
     has_successes = any(log.successes is not None for log in logs.values())
     goals = _goals(logs.values(), dark=dark) if has_returns else []
     options = _chart([*lines, *goals], logs.values(), has_successes, dark)

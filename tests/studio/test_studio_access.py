@@ -707,6 +707,11 @@ def test_returns_of_different_rewards_share_no_axis():
     assert not options["yAxis"][0]["show"]
 
 
+def test_a_comparison_with_different_rewards_and_no_success_has_no_empty_chart():
+    log = _log(10, 20)
+    assert comparison_chart({"a": log, "b": log}, has_returns=False, dark=False) is None
+
+
 MAX_NOTICE_WORDS = 12
 
 
