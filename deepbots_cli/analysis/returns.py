@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, ZERO, Interval
-from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar, State
+from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.program.values import Expression
 
 Terms = list[tuple[Expression, Scalar]]
@@ -31,13 +31,30 @@ class RewardTerms:
     def __init__(self, analysis: RangeAnalysis) -> None:
         self.analysis = analysis
         self.program = analysis.program
+        self._endings = {
+            analysis.identity(analysis.scalars(ending)[0]): Name(ending.name)
+            for ending in self.program.endings
+            if ending.foreign is None
+        }
         self.terms = [
-            (term, analysis.scalars(term)[0]) for term in self.program.agent.reward if term.foreign is None
+            (term, self._with_names(analysis.scalars(term)[0]))
+            for term in self.program.agent.reward
+            if term.foreign is None
         ]
         self.is_complete = len(self.terms) == len(self.program.agent.reward)
         self._steps = (1.0, float(analysis.last_step))
         self._running: dict[tuple[float, float], Ranges] = {}
         self._at: dict[Expression | None, Ranges] = {}
+
+    def _with_names(self, node: Scalar) -> Scalar:
+        """Return a value with the name of an ending in place of its condition: `5 when abs(x) > track`."""
+        if not isinstance(node, Op):
+            return node
+        if (name := self._endings.get(self.analysis.identity(node))) is not None:
+            return name
+        args = tuple(map(self._with_names, node.args))
+        is_same = all(new is old for new, old in zip(args, node.args, strict=True))
+        return node if is_same else Op(node.op, args)
 
     def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
         """Return the ranges in a step after which the episode goes on."""
