@@ -21,7 +21,7 @@ from __future__ import annotations
 import ast
 import keyword
 import math
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from enum import Enum, IntEnum, auto
 from fractions import Fraction
@@ -1208,7 +1208,8 @@ _NAMES_IN_ARRAY = _CONSTANTS | {"abs", "np"}
 
 
 def functions_of_entry(_name: str, entry: object) -> Iterator[tuple[str, Function]]:
-    for function in [entry] if isinstance(entry, Function) else list(entry):  # type: ignore[call-overload]
+    # A Function is a tuple.
+    for function in entry if isinstance(entry, Iterable) and not isinstance(entry, Function) else [entry]:
         _require_usable(function)
         yield function.name, function
 
@@ -1220,7 +1221,7 @@ def _require_usable(function: object) -> None:
         ValueError: The entry is wrong; the message gives the reason, and what to write.
     """
     if not isinstance(function, Function):
-        raise ValueError(f"{str(function)[:60]!r} is not a Function")
+        raise ValueError(f"{str(function)[:60]!r} is not a Function of deepbots_cli.expressions.functions")
     name = function.name
     if not name.isidentifier() or name in OPERATORS or name in UNITS or hasattr(math, name):
         raise ValueError(f"the name {name!r} is taken or no identifier; choose another name")
@@ -1268,12 +1269,14 @@ def _require_usable_python(function: Function, field: str, allowed: Collection[s
         raise ValueError(f"the {field} of {name!r} must contain *{arguments[-1]}")
     # The code of an argument replaces its name, so a second occurrence would compute it again.
     if any(names.count(argument) != 1 for argument in arguments):
-        raise ValueError(f"the {field} of {name!r} must contain each of {', '.join(arguments)} once")
+        raise ValueError(
+            f"the {field} of {name!r} must contain each of {', '.join(arguments)} once; write pow(x, 2) for x * x"
+        )
     unknown = {*names} - {*arguments, *allowed}
     if unknown:
         raise ValueError(
             f"the {field} of {name!r} contains {', '.join(sorted(unknown))}; write it with"
-            f" {'functions of math' if field == 'python' else 'functions of np'}"
+            f" {'abs, min, max and functions of math by name' if field == 'python' else 'functions of np'}"
         )
 
 

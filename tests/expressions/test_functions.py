@@ -170,12 +170,13 @@ def test_a_function_of_another_package_is_known_everywhere(tmp_path):
 BROKEN = [
     ("no_such_module:FUNCTIONS", MODULE, "ModuleNotFoundError: No module named 'no_such_module'"),
     ("raising:FUNCTIONS", "raise RuntimeError('broken\\nin two lines')", "RuntimeError: broken in two lines"),
-    ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is not a Function"),
-    ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "must contain each of x once"),
+    ("text:FUNCTIONS", "FUNCTIONS = ['double']", "'double' is not a Function of deepbots_cli.expressions"),
+    ("plain:double", "def double(x): return 2 * x", "is not a Function of deepbots_cli.expressions"),
+    ("twice:FUNCTIONS", MODULE.replace('"2*x"', '"x + x"'), "each of x once; write pow(x, 2) for x * x"),
     (
         "opening:FUNCTIONS",
         MODULE.replace('"2*x"', '"open(x)"'),
-        "contains open; write it with functions of math",
+        "contains open; write it with abs, min, max and functions of math by name",
     ),
     (
         "power:FUNCTIONS",
