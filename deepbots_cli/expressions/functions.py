@@ -1208,8 +1208,8 @@ _NAMES_IN_ARRAY = _CONSTANTS | {"abs", "np"}
 
 
 def functions_of_entry(_name: str, entry: object) -> Iterator[tuple[str, Function]]:
-    # A Function is a tuple.
-    for function in entry if isinstance(entry, Iterable) and not isinstance(entry, Function) else [entry]:
+    is_one = isinstance(entry, Function) or not isinstance(entry, Iterable)  # a Function is a tuple
+    for function in [entry] if is_one else list(entry):  # type: ignore[call-overload]
         _require_usable(function)
         yield function.name, function
 

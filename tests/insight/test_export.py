@@ -178,9 +178,12 @@ def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
     assert f"mean return {description['evaluation']['mean_return']:.4g} (95 % interval " in text
 
 
-def test_a_folder_for_a_model_hub_has_a_card_the_model_a_video_and_the_bundle(run, tmp_path, monkeypatch):
+def test_a_folder_for_a_model_hub_has_a_card_the_model_a_video_and_the_bundle(
+    run, tmp_path, monkeypatch, capsys
+):
     folder = tmp_path / "hub"
     assert main(["export", str(run), "--to", "hub", "-o", str(folder)]) == 0
+    assert f"\n  hf upload YOUR_NAME/hub {folder}\n" in capsys.readouterr().err
     _, metadata, card = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
     known = yaml.safe_load(metadata)
     assert known["library_name"] == "stable-baselines3"
@@ -194,6 +197,17 @@ def test_a_folder_for_a_model_hub_has_a_card_the_model_a_video_and_the_bundle(ru
     names: dict[str, object] = {}
     exec(program, names)
     assert names["action"] in (0, 1)
+
+
+def test_a_machine_that_writes_no_videos_makes_a_folder_for_a_hub_without_one(
+    run, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    folder = tmp_path / "hub"
+    assert main(["export", str(run), "--to", "hub", "-o", str(folder)]) == 0
+    assert not (folder / "replay.mp4").exists()
+    assert "replay.mp4" not in (folder / "README.md").read_text(encoding="utf-8")
+    assert "there is no video" in capsys.readouterr().err
 
 
 def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):

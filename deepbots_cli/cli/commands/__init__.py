@@ -86,6 +86,7 @@ REPLACEMENTS: Mapping[str, str] = {
     "explain-episode": "deepbots diagnose RUN --episode K",
     "eject": "deepbots compile SCENARIO --project DIR",
     "schema": "deepbots lsp --schema",
+    "publish": "deepbots export RUN --to hub",
     "--resume": "deepbots resume RUN",
     "--apply": "deepbots apply STUDY FILE",
     "--script": "--driver NAME",

@@ -141,10 +141,20 @@ def command(
         )
     if to is not Form.bundle:
         write_new(files, folder, force=force)
-        terminal.show({"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json)
+        _show_folder(folder, files, to, as_json=as_json)
         return
     write_new(files, folder, force=force)
     _show_bundle(folder, files, ref.name, source, as_json=as_json)
+
+
+def _show_folder(folder: Path, files: Mapping[PurePosixPath, bytes], form: Form, *, as_json: bool) -> None:
+    """Print the files for another program, and for a hub how to upload them."""
+    is_hub = form is Form.hub
+    upload = [f"hf upload YOUR_NAME/{quote(folder.resolve().name)} {quote(str(folder))}"] if is_hub else []
+    if is_hub and PurePosixPath("replay.mp4") not in files:
+        terminal.note("there is no video, because this machine draws no pictures or writes no MP4")
+    listing = f"{folder}: {', '.join(map(str, files))}"
+    terminal.show({"folder": folder}, listing, as_json=as_json, next_commands=upload)
 
 
 def _show_bundle(

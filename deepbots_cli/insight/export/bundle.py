@@ -244,13 +244,12 @@ def _robot_files(run: Run) -> dict[str, RobotFile]:
 
 def _licenses(inputs: Path) -> dict[str, str]:
     """Return the SPDX identifiers in the scenario and robot files of a run, by file."""
-    licenses = {}
-    for path in sorted(inputs.rglob("*")):
-        if path.suffix in (*_SCENARIO_SUFFIXES, ".urdf", ".xacro") and (
-            match := _LICENSE.search(path.read_text("utf-8", errors="replace"))
-        ):
-            licenses[path.relative_to(inputs).as_posix()] = match[1].strip(" -")
-    return licenses
+    texts = {
+        path.relative_to(inputs).as_posix(): path.read_text("utf-8", errors="replace")
+        for path in sorted(inputs.rglob("*"))
+        if path.suffix in (*_SCENARIO_SUFFIXES, ".urdf", ".xacro")
+    }
+    return {name: match[1].strip(" -") for name, text in texts.items() if (match := _LICENSE.search(text))}
 
 
 # Whether it fits

@@ -1,11 +1,13 @@
-"""A policy as a repository of a model hub: a card with metadata, the model, a video of an episode, and the
-bundle in a folder of its own. Nothing is uploaded."""
+"""A policy as a repository of a model hub: a card with metadata, the model, a video of an episode if this
+machine can draw, and the bundle in a folder of its own. Nothing is uploaded."""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 
+from deepbots_cli.errors import EngineError, MissingExtraError
 from deepbots_cli.insight.export import bundle
 from deepbots_cli.insight.statements import render_template
 from deepbots_cli.learning.runs.run import ModelName, Run
@@ -18,28 +20,31 @@ from deepbots_robot.model import decode
 
 
 def hub_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
-    """Return the files of the repository.
+    """Return the files of the repository, without a video where nothing draws or encodes one.
 
     Raises:
-        EngineError: The engine cannot draw.
         MissingExtraError, RunError, UsageError: As for `bundle_files`.
     """
-    with TemporaryDirectory() as folder:
+    files = {"bundle" / path: content for path, content in bundle.bundle_files(run, name).items()}
+    with TemporaryDirectory() as folder, suppress(EngineError, MissingExtraError):
         pictures.check_target(video := Path(folder, "replay.mp4"), (".mp4",), force=True)
-        files = bundle.bundle_files(run, name)
         with closing_player(Showing(str(run.path), model=name), None) as player:
             pictures.write_clip(player, video, pictures.Viewpoint(480, 320), seed=run.record.seed, episode=0)
-        info = decode(files[PurePosixPath(BUNDLE_NAME)])
-        package, _, kind = ALGORITHMS[info.training.algorithm].import_path.partition(":")
-        is_sb3, program = package in ("stable_baselines3", "sb3_contrib"), run.program
-        # A critic that sees more has layers of deepbots, and an environment of several agents another action.
-        loads_alone = is_sb3 and not program.agent.critic and program.others is None
-        card = render_template(
-            "export/hub.md.j2", info=info, is_sb3=is_sb3, algorithm=(package, kind) if loads_alone else None
-        )
-        return {
-            PurePosixPath("README.md"): card.encode(),
-            PurePosixPath("policy.zip"): run.model(name).read_bytes(),
-            PurePosixPath(video.name): video.read_bytes(),
-            **{"bundle" / path: content for path, content in files.items()},
-        }
+        files[PurePosixPath(video.name)] = video.read_bytes()
+    info = decode(files["bundle" / PurePosixPath(BUNDLE_NAME)])
+    package, _, kind = ALGORITHMS[info.training.algorithm].import_path.partition(":")
+    is_sb3, program = package in ("stable_baselines3", "sb3_contrib"), run.program
+    # A critic that sees more has layers of deepbots, and an environment of several agents another action.
+    loads_alone = is_sb3 and not program.agent.critic and program.others is None
+    card = render_template(
+        "export/hub.md.j2",
+        info=info,
+        is_sb3=is_sb3,
+        algorithm=(package, kind) if loads_alone else None,
+        has_video=PurePosixPath("replay.mp4") in files,
+    )
+    return {
+        PurePosixPath("README.md"): card.encode(),
+        PurePosixPath("policy.zip"): run.model(name).read_bytes(),
+        **files,
+    }
