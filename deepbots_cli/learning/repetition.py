@@ -14,6 +14,7 @@ from deepbots_cli.learning.runs.records import RunRecord, TrainingResult
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.training import train
 from deepbots_cli.records import dataclass
+from deepbots_cli.rollout.source import SourceKind, folder_kind
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,7 @@ def repeat(
     """Train a run again from its own scenario, seed and options, and compare the weights.
 
     Args:
-        new: The directory of the new run; by default as for `train`, beside the old one.
+        new: The directory of the new run; by default as for `train`, beside the old one or its group.
         permissions: With `code`, terms in Python run.
 
     Raises:
@@ -58,10 +59,11 @@ def repeat(
         raise RunError(f"the training of {source.path} is not finished; finish it with `deepbots resume`")
     taught = next((path for path in (source.demonstrations, source.teacher) if path.exists()), None)
     initial = source.model("initial")
+    folder = source.path.resolve().parent
     training = train(
         replace(source.compiled, permissions=permissions),
         run=new,
-        runs=source.path.resolve().parent,
+        runs=folder.parent if folder_kind(folder) is SourceKind.GROUP else folder,
         seed=record.seed,
         total_timesteps=record.total_timesteps,
         stop_when_solved=record.stop_when_solved,

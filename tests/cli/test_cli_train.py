@@ -473,6 +473,8 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
         assert report["differences"][0]["mean_return"]["mean"] == pytest.approx(
             sum(after) / 2 - sum(before) / 2
         )
+    again = deepbots("repeat", f"{group}/seed-2").out
+    assert f"{group}/seed-2 and runs/cartpole-2-1: the same policy" in again
     refused = deepbots("eval", group, "--baselines", code=2)
     assert "--baselines does not go with a group; name one of its runs" in refused.err
     shutil.copytree(group, "runs/other")

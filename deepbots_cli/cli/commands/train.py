@@ -46,6 +46,7 @@ from deepbots_cli.cli.tables import table
 from deepbots_cli.cli.written_files import write_values
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.document import Permissions
+from deepbots_cli.document.files import display_path
 from deepbots_cli.document.load import TUNE
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
@@ -345,7 +346,7 @@ def command_repeat(
         Path, typer.Argument(metavar="RUN", help="A run directory of a finished `deepbots train`.")
     ],
     run: Annotated[
-        Path | None, option("--run DIR", "Directory of the new run; by default beside the first one.")
+        Path | None, option("--run DIR", "Directory of the new run; by default beside the first one or its group.")
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,
@@ -363,7 +364,7 @@ def command_repeat(
             progress=not quiet,
             permissions=Permissions(code=allow_code),
             executor=executor,
-            on_start=lambda path: None if quiet else terminal.note(f"the run is {path}"),
+            on_start=lambda path: None if quiet else terminal.note(f"the run is {display_path(path)}"),
         )
     if repetition.training.stop_requested:
         raise typer.Exit(INTERRUPTED)
@@ -372,13 +373,13 @@ def command_repeat(
     if not repetition.is_same:
         verdict = "another policy: the weights differ"
         differences = differences or ["the records name no difference"]
-    runs = repetition.original, repetition.training.run
+    runs = [display_path(path) for path in (repetition.original, repetition.training.run)]
     terminal.show(
         vars(repetition),
         f"{runs[0]} and {runs[1]}: {verdict}",
         *(f"  {difference}" for difference in differences),
         as_json=as_json,
-        next_commands=[" ".join(["deepbots compare", *(quote(str(path)) for path in runs)])],
+        next_commands=[" ".join(["deepbots compare", *map(quote, runs)])],
     )
     if not repetition.is_same:
         raise typer.Exit(FAILED)
