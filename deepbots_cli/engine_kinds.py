@@ -197,17 +197,15 @@ def chosen(name: str | None) -> str:
 
 @cache
 def _default() -> str:
-    usual = ENGINES.built_in[DEFAULT_ENGINE]
-    if usual.is_installed:
-        return DEFAULT_ENGINE
-    alternative = next((name for name, kind in ENGINES.built_in.items() if kind.is_installed), None)
-    if alternative is None:
-        return DEFAULT_ENGINE  # its error explains how to install it
-    logging.getLogger("deepbots").warning(
-        "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine or"
-        " world.engine)",
-        usual.missing,
-        ENGINES.built_in[alternative].title,
-        usual.title,
-    )
-    return alternative
+    # Without any engine, the error of the default one explains how to install it.
+    engine = next((name for name, kind in ENGINES.built_in.items() if kind.is_installed), DEFAULT_ENGINE)
+    if engine != DEFAULT_ENGINE:
+        usual = ENGINES.built_in[DEFAULT_ENGINE]
+        logging.getLogger("deepbots").warning(
+            "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine"
+            " or world.engine)",
+            usual.missing,
+            ENGINES.built_in[engine].title,
+            usual.title,
+        )
+    return engine

@@ -16,12 +16,16 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from math import ceil
 from pathlib import Path
 from typing import IO, Any, cast
 
 VERDICT_FILE = "DEEPBOTS_VERDICT_FILE"
 """The environment variable with the file into which a command writes its verdict, for the program that has
 started it."""
+CORES_OF_CONTAINER = Path(
+    "/sys/fs/cgroup/cpu.max"
+)  # the CPU time that it may use in a period, and the period
 _MAX_LINE_BYTES = 1 << 20
 _LAST_BREATH_S = 1.0
 """The time in s that a process may take to end after it has closed its output."""
@@ -29,6 +33,16 @@ _MIB = 2**20
 
 # Processes inherit the variable; the option -P would have to be in each command line.
 _SAFE_PATH = "PYTHONSAFEPATH"
+
+
+def available_cores() -> int:
+    """Return the number of cores that this process may use; a container and `taskset` allow fewer than all."""
+    # `cpu_count` has all cores; macOS and Windows have nothing better.
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    with suppress(OSError, ValueError):  # there is no such file, or it says `max`
+        quota, period = map(int, CORES_OF_CONTAINER.read_text().split())
+        return min(cores, ceil(quota / period))
+    return cores
 
 
 def python_command(module: str, *arguments: str) -> list[str]:

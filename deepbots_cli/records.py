@@ -53,8 +53,7 @@ class _Signature:
     """Compiles `__init__` for `inspect.signature`, which then finds it."""
 
     def __init__(self, record: Any, frozen: bool) -> None:
-        self._record = record
-        self._frozen = frozen
+        self._record, self._frozen = record, frozen
 
     def __get__(self, instance: object, cls: type) -> None:
         self._record.__init__ = _compiled_init(self._record, self._frozen)

@@ -3,7 +3,6 @@ processes of `--workers` and `--cluster`."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -21,6 +20,7 @@ from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.lint.settings import Settings, scenarios_in
+from deepbots_cli.processes import available_cores
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
@@ -243,12 +243,6 @@ def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
         if name != STDIN and not is_robot(name):
             Source.open(name, Permissions(), SourceKind.SCENARIO)
     return list(names)
-
-
-def available_cores() -> int:
-    """Return the number of cores that this process may use."""
-    # `cpu_count` has all cores of the machine, also those that a container or `taskset` excludes.
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:

@@ -1207,9 +1207,9 @@ _NAMES_IN_PYTHON = {*vars(math), "abs", "min", "max"}
 _NAMES_IN_ARRAY = _CONSTANTS | {"abs", "np"}
 
 
-def functions_of_entry(_name: str, entry: object) -> Iterator[tuple[str, Function]]:
+def functions_of_entry(_name: str, entry: Any) -> Iterator[tuple[str, Function]]:
     is_one = isinstance(entry, Function) or not isinstance(entry, Iterable)  # a Function is a tuple
-    for function in [entry] if is_one else list(entry):  # type: ignore[call-overload]
+    for function in [entry] if is_one else entry:
         _require_usable(function)
         yield function.name, function
 

@@ -32,7 +32,7 @@ from typing import Any, ClassVar
 import pytest
 import yaml
 
-from deepbots_cli import api
+from deepbots_cli import api, processes
 from deepbots_cli.api import Compiled
 from deepbots_cli.cli import arguments, main
 from deepbots_cli.cluster import Cluster
@@ -156,6 +156,16 @@ def test_workers_run_without_ray(
 
 def test_workers_have_our_priority(cluster: Cluster) -> None:
     assert list(cluster.map(priority, [0])) == [os.nice(0)]
+
+
+@pytest.mark.parametrize(("text", "cores"), [("150000 100000\n", 2), ("max 100000\n", 8)])
+def test_a_container_has_the_cores_of_its_cpu_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, cores: int
+) -> None:
+    (tmp_path / "cpu.max").write_text(text)
+    monkeypatch.setattr(processes, "CORES_OF_CONTAINER", tmp_path / "cpu.max")
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: range(8), raising=False)
+    assert processes.available_cores() == cores
 
 
 @pytest.mark.slow

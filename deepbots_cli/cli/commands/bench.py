@@ -4,7 +4,6 @@ packages, the engines and the learner."""
 from __future__ import annotations
 
 import math
-import os
 import platform
 import sys
 import time
@@ -40,6 +39,7 @@ from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.engine_kinds import chosen, with_engine
 from deepbots_cli.errors import UsageError
 from deepbots_cli.installation import install_hint, requirements
+from deepbots_cli.processes import available_cores
 from deepbots_cli.rollout import Start, steps
 from deepbots_cli.rollout.drivers import random_driver
 from deepbots_cli.words import counted
@@ -202,7 +202,7 @@ def _bench_shards(
     with terminal.transient_line("loading PyTorch ..."):
         from deepbots_cli.learning import training
     if address is None and workers is None and max(numbers) > 1:
-        workers = min(max(numbers), arguments.available_cores())
+        workers = min(max(numbers), available_cores())
     terminal.note(
         f"training for about {training.MEASURED_SECONDS:.0f} s with each number of shards, after the start of their"
         " processes"
@@ -299,7 +299,7 @@ def checks() -> Iterator[Check]:
         "ok" if sys.version_info >= (3, 11) else "broken",
         f"{platform.python_version()} at {sys.executable}",
     )
-    yield Check("machine", "ok", f"{platform.platform()}, {os.cpu_count()} processors")
+    yield Check("machine", "ok", f"{platform.platform()}, {counted(available_cores(), 'core')}")
     needed = requirements()
     versions = {name: _version(name) for extra in ("", *_EXTRAS) for name in needed.get(extra, ())}
     for name, release in versions.items():
@@ -348,7 +348,13 @@ def _stepping(engine: str) -> Check:
 def _threads() -> Check:
     import torch
 
-    return Check("learning", "ok", f"torch can use {torch.get_num_threads()} threads; training uses 1")
+    from deepbots_cli.learning.sb3.algorithms import available_memory
+
+    memory = available_memory()
+    worlds = "" if memory is None else f"; worlds and replay buffer may use {memory / 1e9:.1f} GB"
+    return Check(
+        "learning", "ok", f"torch can use {torch.get_num_threads()} threads; training uses 1{worlds}"
+    )
 
 
 def _tried(what: str, check: Callable[[], Check]) -> Check:

@@ -14,7 +14,6 @@ import typer
 
 from deepbots_cli import __version__
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.arguments import available_cores
 from deepbots_cli.cli.command import (
     ADVANCED,
     MAX_SEED,
@@ -31,6 +30,7 @@ from deepbots_cli.cli.tables import Row, table
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_folder, check_output, read_at_most
+from deepbots_cli.processes import available_cores
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:

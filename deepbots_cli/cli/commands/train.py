@@ -346,7 +346,8 @@ def command_repeat(
         Path, typer.Argument(metavar="RUN", help="A run directory of a finished `deepbots train`.")
     ],
     run: Annotated[
-        Path | None, option("--run DIR", "Directory of the new run; by default beside the first one or its group.")
+        Path | None,
+        option("--run DIR", "Directory of the new run; by default beside the first one or its group."),
     ] = None,
     workers: Workers = None,
     address: ClusterAddress = None,

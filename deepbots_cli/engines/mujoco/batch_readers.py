@@ -4,7 +4,6 @@ batch adds to its model.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Sequence
 from copy import copy
 from math import inf
@@ -21,6 +20,7 @@ from deepbots_cli.engines.mujoco.motors import cells
 from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, BatchState, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
+from deepbots_cli.processes import available_cores
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
@@ -226,11 +226,9 @@ class BatchReaders(BatchState):
         self._world = self.single._world
         self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
-        # `cpu_count` would include cores that a container may not use; macOS and Windows have nothing better.
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
         # A thread that has less to do takes more time to start: 16 carts on rails need 45 us, or 100 us with two.
         work = count * (self.nominal.nv + self.nominal.npair // 2)
-        self._threads = min(cores, count, max(1, work // WORK_OF_A_THREAD))
+        self._threads = min(available_cores(), count, max(1, work // WORK_OF_A_THREAD))
         self._remembered = self._world.memory()
         self._memories = [self._remembered] * count
         """The memory of the shared engine besides the state, for each world: the bodies that are present,

@@ -420,7 +420,7 @@ def check_replay(settings: Mapping[str, Any], space: gym.Space[Any], memory: int
 
 
 def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "") -> None:
-    memory = _memory() if memory is None else memory
+    memory = available_memory() if memory is None else memory
     if memory is not None and needed > memory:
         raise UsageError(
             f"{subject} {needed / 1e9:.1f} GB of memory, and this machine or container has"
@@ -428,7 +428,7 @@ def _require_memory(subject: str, needed: int, memory: int | None, hint: str = "
         )
 
 
-def _memory() -> int | None:
+def available_memory() -> int | None:
     """Return the memory in bytes that this machine or its container has; None on Windows."""
     if not hasattr(os, "sysconf"):
         return None
