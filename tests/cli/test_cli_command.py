@@ -21,9 +21,10 @@ import sys
 from importlib.machinery import PathFinder
 from importlib.metadata import PackageNotFoundError, metadata
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 import deepbots_cli
@@ -622,6 +623,20 @@ def test_any_values_make_lines_that_no_terminal_obeys(rows):
     text = table(rows)
     assert text.replace("\n", "").isprintable()
     assert text.count("\n") == len(rows) + 1
+
+
+@example(rows=[{"a": "&", "b": "}", "c": "\\"}])
+@given(rows=ROWS)
+def test_any_values_make_a_table_of_latex_with_all_columns_and_matching_braces(rows):
+    with TemporaryDirectory() as folder:
+        write_tables(rows, None, file := Path(folder, "table.tex"))
+        begin, _, head, _, *lines, _, _ = file.read_text(encoding="utf-8").splitlines()
+    columns = len(begin.rpartition("{")[2]) - 1
+    assert len(lines) == len(rows)
+    for line in (head, *lines):
+        marks = re.sub(r"\\[^a-z]", "", line.removesuffix(r" \\"))
+        assert marks.count("&") == columns - 1
+        assert not {*re.sub(r"\{.?\}", "", marks)} & {*"{}%$#_^~"}
 
 
 LINES = [
