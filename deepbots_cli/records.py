@@ -23,6 +23,7 @@ else:
         own = dict(vars(cls))
         if "__eq__" in own and own["__hash__"] is None:  # Python's own, beside `__eq__`
             del own["__hash__"]
+        cls.__doc__ = cls.__doc__ or cls.__name__  # `dataclasses` would read a signature, for 0.5 ms
         dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only)(cls)
         methods = {"__init__": _first_init(cls, frozen)}
         if "__init__" not in own:

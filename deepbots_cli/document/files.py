@@ -34,7 +34,7 @@ _NOT_SEARCHED = frozenset({"runs", "node_modules", "__pycache__", "venv", "build
 _PROJECT_MARKERS = ("deepbots.toml", "pyproject.toml", ".git")
 # Outside YAML's printable characters, or a line end that editors and YAML count differently.
 FORBIDDEN_CHARACTERS = re.compile(
-    "[^\t\n\r\x20-\x7e\xa0-\u2027\u202a-\ud7ff\ue000-\ufefe\uff00-\ufffd\U00010000-\U0010ffff]|\r(?!\n)"
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufeff\ufffe\uffff]|\r(?!\n)"
 )
 
 

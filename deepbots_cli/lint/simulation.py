@@ -16,7 +16,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args
 
 from pydantic import TypeAdapter
 
@@ -270,6 +270,7 @@ class Summary:
     tilts: Mapping[str, float] = field(default_factory=dict)
 
 
+T = TypeVar("T")
 Entry: TypeAlias = (
     Activity
     | FastestBody
@@ -283,7 +284,6 @@ Entry: TypeAlias = (
     | Done
 )
 _KINDS: dict[str, type[Entry]] = {kind.__name__: kind for kind in get_args(Entry)}
-_LINE: TypeAdapter[tuple[str, dict[str, Any]]] = TypeAdapter(tuple[str, dict[str, Any]])
 
 
 def encode(entry: Entry) -> bytes:
@@ -294,15 +294,15 @@ def encode(entry: Entry) -> bytes:
 def decode(line: bytes) -> Entry | None:
     """Return the entry of a line; None if the line is cut off or is not an entry."""
     try:
-        kind, fields = _LINE.validate_json(line)
-        return _adapter(kind).validate_python(fields) if kind in _KINDS else None
+        kind, fields = _adapter(tuple[str, dict[str, Any]]).validate_json(line)
+        return _adapter(_KINDS[kind]).validate_python(fields) if kind in _KINDS else None
     except ValueError:
         return None
 
 
 @cache
-def _adapter(kind: str) -> TypeAdapter[Entry]:
-    return TypeAdapter(_KINDS[kind])
+def _adapter(kind: type[T]) -> TypeAdapter[T]:
+    return TypeAdapter(kind)
 
 
 @dataclass
