@@ -7,7 +7,6 @@ Other packages add an engine by an entry point of the group `deepbots.engines`, 
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
@@ -200,6 +199,8 @@ def _default() -> str:
     # Without any engine, the error of the default one explains how to install it.
     engine = next((name for name, kind in ENGINES.built_in.items() if kind.is_installed), DEFAULT_ENGINE)
     if engine != DEFAULT_ENGINE:
+        import logging
+
         usual = ENGINES.built_in[DEFAULT_ENGINE]
         logging.getLogger("deepbots").warning(
             "note: %s; this runs on %s, which gives different returns than %s (choose an engine with --engine"

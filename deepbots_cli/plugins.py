@@ -20,7 +20,6 @@ that gives the reason.
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import cache
@@ -54,6 +53,8 @@ def _entry_points_on_path(_path: tuple[str, ...]) -> EntryPoints:
 
 def warn_unavailable(entry: EntryPoint, reason: object) -> None:
     """Warn that the objects of an entry point are left out."""
+    import logging
+
     logging.getLogger("deepbots").warning("warning: %s", unavailable_message(entry, reason))
 
 

@@ -9,7 +9,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from pathlib import Path as FilePath
-from typing import Any, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
 from deepbots_cli.compiler.namespace import Namespace, Origin
 from deepbots_cli.compiler.robots import ResolvedRobot, locate_file
@@ -56,6 +56,10 @@ from deepbots_cli.robots.packages import UnusableMesh
 from deepbots_cli.scenario import world as world_spec
 from deepbots_cli.scenario.base import Section
 from deepbots_cli.scenario.fields import COLORS
+
+if TYPE_CHECKING:
+    from deepbots_cli.scenario import objects as object_spec
+    from deepbots_cli.scenario import terrains as terrain_spec
 
 MAX_TRIANGLES = 200_000
 # Sizes in m; beyond the inner two a mesh is probably in another unit.
@@ -133,7 +137,7 @@ def _group(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> Obje
     return ObjectGroup(name, max(1, int(highest)), count)
 
 
-def mesh(namespace: Namespace, spec: world_spec.Mesh | world_spec.MeshTerrain) -> Mesh | None:
+def mesh(namespace: Namespace, spec: object_spec.Mesh | terrain_spec.MeshTerrain) -> Mesh | None:
     """Return the mesh file of an object or a terrain; None after a finding."""
     values = namespace.values
     reference = spec.file
@@ -302,37 +306,39 @@ def terrain(spec: world_spec.Terrain, namespace: Namespace) -> Terrain | None:
 
 
 def _relief(spec: world_spec.Terrain, namespace: Namespace) -> TerrainShape | None:
+    from deepbots_cli.scenario import terrains as terrain_spec
+
     values = namespace.values
     fixed = namespace.fields.fixed
     match spec:
-        case world_spec.Pit():
+        case terrain_spec.Pit():
             height = fixed(spec, "height")
             _check_height(spec, "height", None if height is None else height / 4, namespace)
             radius = _PIT_RIM_M if spec.radius is None else fixed(spec, "radius")
             noise = fixed(spec, "noise")
             return None if height is None or radius is None or noise is None else Pit(height, radius, noise)
-        case world_spec.MeshTerrain():
+        case terrain_spec.MeshTerrain():
             if spec.file.lower().endswith(".dae"):
                 values.add(
                     "DB104", (*spec.path, "file"), "ground from a COLLADA file", "convert it to STL or OBJ"
                 )
                 return None
             return mesh(namespace, spec)
-        case world_spec.Heightfield():
+        case terrain_spec.Heightfield():
             file = picture(namespace, (*spec.path, "file"), spec.file)
             size = namespace.fields.pair(spec, "size")
             height = fixed(spec, "height")
             _check_height(spec, "height", height, namespace)
             return None if file is None or size is None or height is None else Picture(*file, size, height)
-        case world_spec.Formula():
+        case terrain_spec.Formula():
             size = namespace.fields.pair(spec, "size")
             return None if size is None else _formula(spec, size, namespace)
-        case world_spec.TileTerrain():
+        case terrain_spec.TileTerrain():
             return _tiles(spec, namespace)
     return None
 
 
-def _tiles(spec: world_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
+def _tiles(spec: terrain_spec.TileTerrain, namespace: Namespace) -> Tiles | None:
     values = namespace.values
     findings_before = len(namespace.values.findings)
     lengths = {key: namespace.fields.fixed(spec, key) for key in _TILE_LENGTHS}
@@ -386,8 +392,8 @@ def _check_height(section: Section, key: str, height: float | None, namespace: N
 
 
 def _check_width(
-    terrain: world_spec.TileTerrain,
-    section: world_spec.Tile | world_spec.TileTerrain,
+    terrain: terrain_spec.TileTerrain,
+    section: terrain_spec.Tile | terrain_spec.TileTerrain,
     key: str,
     width: float,
     smallest: float,
@@ -409,7 +415,7 @@ def _check_width(
     namespace.values.add("DB105", namespace.values.span(path), headline, help)
 
 
-def _tile(spec: world_spec.Tile, namespace: Namespace) -> Tile | None:
+def _tile(spec: terrain_spec.Tile, namespace: Namespace) -> Tile | None:
     """The measures of a tile at the lowest and at the highest level; None after a finding."""
     measures: list[tuple[str, float, float]] = []
     for key in type(spec).model_fields:
@@ -448,7 +454,7 @@ def _widths(tile: Tile) -> list[tuple[str, float]]:
     return [(name, end) for name, *ends in tile.measures if name in along for end in {*ends}]
 
 
-def _formula(spec: world_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
+def _formula(spec: terrain_spec.Formula, size: tuple[float, float], namespace: Namespace) -> Formula | None:
     values = namespace.values
     sides = {
         name: ValueType(LENGTH, interval=Interval(-side / 2, side / 2), known=Known.STEP)
@@ -503,16 +509,18 @@ def _formula_at(heights: Scalar, position: dict[str, float]) -> Scalar:
 def bodies(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> list[ObjectBody]:
     """Return the object, or every copy of a group; none after a finding about its shape. Figures that are
     drawn become variations."""
+    from deepbots_cli.scenario import objects as object_spec
+
     group = namespace.groups.get(name)
     names = group.copies if group else (name,)
-    if isinstance(body, world_spec.VariedObject):
+    if isinstance(body, object_spec.VariedObject):
         variants = tuple(_variant(kind, spec, body, namespace) for kind, spec in body.one_of.items())
         if None in variants or not variants:  # none is left where each of them has a finding
             return []
         forms = tuple(variant for variant in variants if variant is not None)
         return [_body(copy, body, forms[0].shape, namespace, forms) for copy in names]
     body_shape = shape(body, namespace)
-    if not isinstance(body, world_spec.Material):
+    if not isinstance(body, object_spec.Material):
         return []
     if body_shape is None:  # its other values are checked all the same
         _body(name, body, Sphere(1.0), namespace)
@@ -522,7 +530,7 @@ def bodies(name: str, body: world_spec.PlacedBody, namespace: Namespace) -> list
 
 def _body(
     name: str,
-    material: world_spec.Material,
+    material: object_spec.Material,
     body_shape: Shape,
     namespace: Namespace,
     variants: tuple[Variant, ...] = (),
@@ -546,7 +554,7 @@ def _body(
 
 
 def _variant(
-    kind: str, spec: world_spec.ShapedBody, varied: world_spec.VariedObject, namespace: Namespace
+    kind: str, spec: object_spec.ShapedBody, varied: object_spec.VariedObject, namespace: Namespace
 ) -> Variant | None:
     """Return a form that a body may take: properties that it does not set are those of the object; its values
     are fixed."""
@@ -579,25 +587,27 @@ def _variant(
     )
 
 
-def shape(body: world_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
+def shape(body: object_spec.Material | world_spec.PlacedBody, namespace: Namespace) -> Shape | None:
     """Return the shape of an object or of a variant; None after a finding."""
+    from deepbots_cli.scenario import objects as object_spec
+
     match body:
-        case world_spec.Box():
+        case object_spec.Box():
             size = namespace.fields.triple(body, "size")
             return Box(size) if size else None
-        case world_spec.Sphere():
+        case object_spec.Sphere():
             radius = namespace.fields.fixed(body, "radius")
             return Sphere(radius) if radius else None
-        case world_spec.Cylinder() | world_spec.Capsule():
+        case object_spec.Cylinder() | object_spec.Capsule():
             radius, height = namespace.fields.fixed(body, "radius"), namespace.fields.fixed(body, "height")
-            kind = Cylinder if isinstance(body, world_spec.Cylinder) else Capsule
+            kind = Cylinder if isinstance(body, object_spec.Cylinder) else Capsule
             return kind(radius, height) if radius and height else None
-        case world_spec.Mesh():
+        case object_spec.Mesh():
             return mesh(namespace, body)
     return None
 
 
-def _mass(material: world_spec.Material, body_shape: Shape, subject: OfLink, namespace: Namespace) -> float:
+def _mass(material: object_spec.Material, body_shape: Shape, subject: OfLink, namespace: Namespace) -> float:
     """Return the mass in kg."""
     still = bool(material.fixed) or material.solid is False
     if material.mass is None:
@@ -608,7 +618,7 @@ def _mass(material: world_spec.Material, body_shape: Shape, subject: OfLink, nam
 
 
 def _usual_mass(
-    body_shape: Shape, material: world_spec.Material, namespace: Namespace, *, still: bool
+    body_shape: Shape, material: object_spec.Material, namespace: Namespace, *, still: bool
 ) -> float:
     """Return the mass (kg) of the same volume of water; a mesh that can move needs a mass of its own."""
     if isinstance(body_shape, Mesh) and not still:

@@ -7,6 +7,8 @@ base.py           Section, the base of the models; unions, sizes; the shapes of 
 documentation.py  sentences, defaults and examples of keys; other words for them; terms of Isaac Lab
 search.py         the search spaces of `tune`
 world.py          the sections of the world
+terrains.py       kinds of terrain and of tiles, imported for a file that has one
+objects.py        kinds of objects, imported for a file that has one
 sensors.py        the sections of sensors
 actuators.py      the sections of actuators
 robots.py         robots and their messages

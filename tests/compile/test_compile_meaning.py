@@ -43,8 +43,9 @@ from deepbots_cli.program import identity
 from deepbots_cli.program.identity import digest, interface, to_json
 from deepbots_cli.scenario.actuators import ACTUATORS
 from deepbots_cli.scenario.documentation import synonyms, word_for
+from deepbots_cli.scenario.objects import OBJECTS
 from deepbots_cli.scenario.sensors import SENSORS
-from deepbots_cli.scenario.world import OBJECTS, TILES
+from deepbots_cli.scenario.terrains import TILES
 from tests.compile.conftest import shipped_text
 from tests.few import every
 from tests.named import constant

@@ -36,10 +36,12 @@ from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_se
 from deepbots_cli.scenario.documentation import key_description
 from deepbots_cli.scenario.fields import Pattern, Reference
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
+from deepbots_cli.scenario.objects import OBJECTS
 from deepbots_cli.scenario.quantities import Expression, Quantity, Range, count_literal, read_schedule
 from deepbots_cli.scenario.sensors import SENSORS
+from deepbots_cli.scenario.terrains import TERRAINS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
-from deepbots_cli.scenario.world import OBJECTS, TERRAINS, Arena, World
+from deepbots_cli.scenario.world import Arena, World
 from tests.golden.cases import mistakes
 
 ROOT = Path(__file__).parents[2]
