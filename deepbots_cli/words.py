@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
+from shlex import quote
 
 
 def counted(count: int, noun: str) -> str:
@@ -45,6 +47,13 @@ def printable(text: str, kept: str = "") -> str:
     """Return a text, which may quote a file, with control and invisible characters escaped, but for those in
     `kept`."""
     return "".join(c if c.isprintable() or c in kept else f"\\u{{{ord(c):x}}}" for c in text)
+
+
+def shell_word(word: Path | str) -> str:
+    """Return a path or a name as one word of a command that a shell reads: `'my runs/a'`, and `./-a.yaml`,
+    since `-a.yaml` would be an option."""
+    text = str(word)
+    return quote(f"./{text}" if text.startswith("-") else text)
 
 
 def unit_text(unit: str) -> str:

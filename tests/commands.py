@@ -1,5 +1,6 @@
-"""What a command of deepbots that runs in this process has printed."""
+"""Commands of deepbots: what one that runs in this process has printed, and whether a line is one."""
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -14,3 +15,28 @@ class Ran:
 
 
 Deepbots = Callable[..., Ran]
+
+WORDS = {"K": "3", "N": "3", "NAME,NAME": "mujoco,pybullet"}
+"""What stands for a value in the commands of messages and pages, and such a value."""
+
+
+def refusal(place: str, line: str) -> str:
+    """What is wrong with a command at a place; empty if it parses."""
+    try:
+        parse(line)
+    except Exception as error:  # noqa: BLE001  # of typer, which has a copy of click, or of click
+        return f"{place}: {line}: {error!r}"
+    return ""
+
+
+def parse(line: str) -> None:
+    """Parse a command as the program does; a command that is only named, without its arguments, is one too."""
+    verb, *words = shlex.split(line)[1:]
+    words = [WORDS.get(word, word) for word in words if word not in ("...", "--help")]
+    from deepbots_cli.cli.command import Commands
+
+    command = Commands().get_command(None, verb)
+    if not words or (len(words) == 1 and words[0].startswith("-")):
+        assert {*words} <= {name for parameter in command.params for name in parameter.opts}, line
+        return
+    command.make_context(verb, words).close()

@@ -7,7 +7,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING
 
 from deepbots_cli import api
@@ -25,7 +24,7 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.robots import packages
 from deepbots_cli.robots.reader import RobotFile, read, read_bytes
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.executor import Executor
@@ -224,7 +223,7 @@ def run_to_export(run: Run, agent: str | None) -> Run:
         raise UsageError(f"{run.path} has the policy of one agent; leave out --agent")
     raise UsageError(
         f"{run.path} has the policies of {', '.join(names)}; name one of them: deepbots export"
-        f" {quote(str(run.path))} --agent {names[0]}"
+        f" {shell_word(run.path)} --agent {names[0]}"
     )
 
 

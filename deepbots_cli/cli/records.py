@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
@@ -22,7 +21,7 @@ from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
 from deepbots_cli.learning.runs.verdict import last_episodes, run_verdict
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.words import counted, number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
@@ -167,10 +166,10 @@ def training_text(result: TrainingResult) -> str:
     """Return how far an interrupted training came, one value per line, and the commands that go on with it."""
     lines = [f"training {result.status}", row_as_lines(_training_rows(result)), *_reasons(result)]
     if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
-        lines.append(f"evaluate the policy with: deepbots eval {quote(str(result.run))}")
+        lines.append(f"evaluate the policy with: deepbots eval {shell_word(result.run)}")
     if result.interrupted:
         lines.append(
-            f"the policy is kept; continue the training with: deepbots resume {quote(str(result.run))}"
+            f"the policy is kept; continue the training with: deepbots resume {shell_word(result.run)}"
         )
     return "\n".join(lines)
 
@@ -224,7 +223,7 @@ def group_training_text(result: GroupTraining) -> str:
     if result.waiting:
         lines.append(f"unfinished: seed {', '.join(map(str, result.waiting))}")
     if result.waiting or result.failed:
-        lines.append(f"continue the training with: deepbots resume {quote(str(result.group))}")
+        lines.append(f"continue the training with: deepbots resume {shell_word(result.group)}")
     return "\n".join(lines)
 
 
@@ -609,7 +608,7 @@ def last_evaluation(ref: ModelRef) -> tuple[Path, EvaluationResult]:
         suffix = f" of {ref.name}" if ref.is_named else ""
         raise UsageError(
             f"{ref.run.path} keeps no evaluation{suffix} in its own scenario and engine; make one with:"
-            f" deepbots eval {quote(str(path))}"
+            f" deepbots eval {shell_word(path)}"
         )
     return evaluation
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from shlex import quote
 from statistics import fmean
 
 import typer
@@ -16,7 +15,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.document import Permissions
 from deepbots_cli.learning.campaigns.study import Study, StudyReporter, StudyTrial, TrialProgress
 from deepbots_cli.learning.campaigns.trials import run_study
-from deepbots_cli.words import counted, number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text, shell_word
 
 _MAX_SHOWN = 10
 """The number of trials in the table; --json has all."""
@@ -147,7 +146,7 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
     """Show the best trials, and the next commands."""
     trials = study.trials()
     ranked = study.ranked(trials)
-    path = quote(str(study.path))
+    path = shell_word(study.path)
     counts = {
         state: sum(trial.state == state for trial in trials)
         for state in ("complete", "pruned", "failed", "running")
@@ -182,9 +181,11 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
             further.insert(1, f"deepbots apply {path}")
         # The best of equal scores was chosen by too few starts.
         if len(ranked) == 1 or ranked[1].score != best.score:
-            settings = " ".join(f"--set {quote(text)}" for text in (*study.record.set, *best.assignments))
+            settings = " ".join(
+                f"--set {shell_word(text)}" for text in (*study.record.set, *best.assignments)
+            )
             further.append(
-                f"deepbots train {quote(study.record.source)} {settings} --seeds {unused_seeds(study)}"
+                f"deepbots train {shell_word(study.record.source)} {settings} --seeds {unused_seeds(study)}"
             )
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not is_done:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import is_dataclass
 from pathlib import Path
-from shlex import quote
 from shutil import get_terminal_size
 from typing import TYPE_CHECKING, TextIO
 
@@ -24,6 +23,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.processes import VERDICT_FILE
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.document import Permissions
@@ -105,13 +105,13 @@ def show_findings(findings: Sequence[Finding]) -> None:
     note(summary(findings))
     fixable = [finding.span.source for finding in findings if finding.fix and finding.fix.safe]
     if files := dict.fromkeys(source.name for source in fixable if Path(source.name).is_file()):
-        note(f"{len(fixable)} can be fixed by: deepbots lint {' '.join(map(quote, files))} --fix")
+        note(f"{len(fixable)} can be fixed by: deepbots lint {' '.join(map(shell_word, files))} --fix")
 
 
 def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:
     """Print a note that there are warnings, and how to see them."""
     if warnings:
-        note(f"{summary(warnings)}; see: deepbots lint {quote(scenario)}")
+        note(f"{summary(warnings)}; see: deepbots lint {shell_word(scenario)}")
 
 
 def note_physics(run: Run) -> None:

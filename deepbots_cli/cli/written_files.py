@@ -17,7 +17,6 @@ from difflib import unified_diff
 from io import StringIO
 from itertools import islice
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from typing import TYPE_CHECKING
 
 from deepbots_cli.cli import terminal
@@ -36,6 +35,7 @@ from deepbots_cli.files import (
 )
 from deepbots_cli.program import Program, identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler import CheckedScenario
@@ -250,7 +250,7 @@ def keep_exploits(
             findings.append(finding)
             continue
         file = folder / f"{finding.name}{RECORDING_SUFFIX}"
-        note = f"`deepbots view {quote(str(file))}` shows the episode"
+        note = f"`deepbots view {shell_word(file)}` shows the episode"
         try:
             from deepbots_cli.view.episodes import Showing
             from deepbots_cli.view.recordings import record

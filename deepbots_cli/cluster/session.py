@@ -19,7 +19,6 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, Unpack
 
 from deepbots_cli.api import build as api_build
@@ -44,6 +43,7 @@ from deepbots_cli.rollout.collector import (
     ShardPool,
 )
 from deepbots_cli.rollout.worlds import Array
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import WorldFactory
@@ -444,7 +444,7 @@ class RemoteShards:
             f"shard {shard} ended its worker {MAX_LOSSES} times {when}; {self._log(worker)} has its last"
             " output"
         )
-        error.add_note(f"to repeat this in one process: deepbots resume {quote(str(self._run.path))}")
+        error.add_note(f"to repeat this in one process: deepbots resume {shell_word(self._run.path)}")
         return error
 
     def _log(self, worker: int) -> Path:
@@ -502,7 +502,7 @@ class Cluster:
             raise UsageError("the argument `build` makes worlds in this process only; leave out the workers")
         pool = RemoteShards(self._pool, run, build.keywords["permissions"], world_numbers(training), note)
         stack.callback(pool.close)
-        self._pool.set_message_if_lost(f"to continue: deepbots resume {quote(str(run.path))}")
+        self._pool.set_message_if_lost(f"to continue: deepbots resume {shell_word(run.path)}")
         return pool
 
     def map(

@@ -47,7 +47,7 @@ from deepbots_cli.errors import DeepbotsError, ScenarioError, StorageError
 from deepbots_cli.expressions import parser, syntax
 from deepbots_cli.expressions.dimensions import NUMBER, Dimension
 from deepbots_cli.records import dataclass
-from deepbots_cli.words import beside, number_text, rate_text, sentence_list
+from deepbots_cli.words import beside, number_text, rate_text, sentence_list, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -462,7 +462,8 @@ class _Policy:
         if reason := unexplained(run):
             reason = f"the training of {newest.name} does not explain its policy: {reason}"
             self.marker.remarks.append(f"{self.name}: {reason}")
-            raise HandInError(f"{reason}; go on with `deepbots resume runs/{newest.name}`, or train again")
+            path = shell_word(f"runs/{newest.name}")
+            raise HandInError(f"{reason}; go on with `deepbots resume {path}`, or train again")
         return run
 
     def _changed(self, run: Run) -> list[str]:

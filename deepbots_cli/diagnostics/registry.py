@@ -461,5 +461,5 @@ def unknown_rule_message(word: str) -> str:
     is_code = word[:2].upper() == "DB" and word[2:3].isdigit()
     near = nearest_word(word, [rule.code if is_code else rule.name for rule in RULES.values()])
     return f"there is no finding '{word}'" + (
-        f"; did you mean {near}?" if near else "; deepbots explain lists them"
+        f"; did you mean {near}?" if near else "; `deepbots explain` lists them"
     )

@@ -13,7 +13,6 @@ from collections.abc import Container, Iterable
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 from typing import Literal
 
 from deepbots_cli.diagnostics import Findings, Fix, Source, Span
@@ -22,6 +21,7 @@ from deepbots_cli.document import shipped
 from deepbots_cli.document.shipped import Library
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
+from deepbots_cli.words import shell_word
 
 MAX_BYTES = 1 << 20
 MAX_TOTAL_BYTES = 8 << 20
@@ -116,7 +116,7 @@ class UnusableFile:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
         if project is None or self.through_link:
             return (
-                f"add `--allow-path {quote(str(folder))}` to the command, or copy the file into"
+                f"add `--allow-path {shell_word(folder)}` to the command, or copy the file into"
                 f" {project or 'the project'}"
             )
         copy = (
@@ -124,11 +124,11 @@ class UnusableFile:
         )
         above = Path(os.path.commonpath((project, self.path)))
         if above in (Path(above.anchor), Path.home()):
-            return f"add `--allow-path {quote(str(folder))}` to the command; or {copy}"
+            return f"add `--allow-path {shell_word(folder)}` to the command; or {copy}"
         marker = display_path(above / _PROJECT_MARKERS[0])
         return (
             f"create the empty file {marker}, which makes one project of all that its folder contains; or add"
-            f" `--allow-path {quote(str(folder))}` to the command; or {copy}"
+            f" `--allow-path {shell_word(folder)}` to the command; or {copy}"
         )
 
     def _elsewhere(self) -> str | None:

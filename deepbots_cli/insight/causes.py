@@ -12,7 +12,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import combinations
 from pathlib import Path, PurePath
-from shlex import quote
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -41,7 +40,7 @@ from deepbots_cli.learning.runs.records import PoolGames
 from deepbots_cli.learning.runs.statistics import wilson
 from deepbots_cli.learning.runs.verdict import SEED, ChangedValue
 from deepbots_cli.program.task import SAME_OBSERVATION, Observation
-from deepbots_cli.words import number_text, rate_text
+from deepbots_cli.words import number_text, rate_text, shell_word
 
 # Faults
 
@@ -390,7 +389,7 @@ def rival_improved(evidence: TrainingEvidence) -> Numbers | None:
                 "own": own[-1],
                 "other_before": other[best],
                 "other": other[-1],
-                "run": quote(str(evidence.run.path)),
+                "run": shell_word(evidence.run.path),
             }
     return None
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from shlex import join, quote
+from shlex import join
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.document.files import display_path
@@ -25,6 +25,7 @@ from deepbots_cli.insight.training import (
 )
 from deepbots_cli.learning.multi_agent import SHARED
 from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.words import shell_word
 
 CHANGED = "changed_since_solved"
 """The fact of what was changed since a solved run, which is no cause."""
@@ -47,7 +48,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     """
     path, learned, rows = training.run.path, training.learned, CAUSES
     if not len(training.all_episodes) and not training.has_failed:
-        longer = f"train it longer, with: deepbots resume {quote(str(path))}"
+        longer = f"train it longer, with: deepbots resume {shell_word(path)}"
         wait = "wait for it" if training.is_running else longer
         raise RunError(f"{path} contains no finished episode yet; {wait}")
     if not (len(training.episodes) or training.has_failed):
@@ -138,7 +139,7 @@ _OF_AGENT = {"diagnose", "eval", "try"}
 def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     """Return the next command after a cause: the training with the advised values, or a command that shows
     the fault."""
-    run, path = evidence.run, quote(display_path(evidence.run.path))
+    run, path = evidence.run, shell_word(display_path(evidence.run.path))
     if statement.settings.keys() == {TOTAL_TIMESTEPS}:
         return statement.command
     if statement.settings:
@@ -148,7 +149,7 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
     if evidence.is_running:
         return ""
     if statement.cause == "not_finite" and (failure := latest_failure(run.path)) is not None:
-        return f"deepbots diagnose {quote(str(failure))}"
+        return f"deepbots diagnose {shell_word(failure)}"
     has_failed_episode = not all(episode.is_success for episode in evidence.final_episodes) and (
         evidence.run.program.defines_success
         or any(episode.ended_by in evidence.run.program.failures for episode in evidence.final_episodes)
@@ -161,6 +162,6 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
         run=path,
         path=statement.evidence.get("path"),
         scenario=evidence.scenario_argument,
-        earlier=quote(str(statement.evidence.get("earlier"))),
+        earlier=shell_word(statement.evidence.get("earlier")),
         script=statement.evidence.get("script"),
     )

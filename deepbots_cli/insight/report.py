@@ -14,7 +14,7 @@ from functools import partial
 from importlib.metadata import version
 from itertools import chain, groupby
 from pathlib import Path
-from shlex import join, quote
+from shlex import join
 from statistics import fmean
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -55,7 +55,7 @@ from deepbots_cli.view.frames import LinkName
 from deepbots_cli.view.pictures import Moving, Positions
 from deepbots_cli.view.replay import open_player
 from deepbots_cli.view.training_logs import TrainingLog
-from deepbots_cli.words import counted, number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text, shell_word
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,7 +100,7 @@ class ReportRun:
         if quoted is None:
             raise RunError(
                 f"{path} contains no evaluation of its best model after the training; create one with:"
-                f" deepbots eval {quote(str(path))}"
+                f" deepbots eval {shell_word(path)}"
             )
         (log,) = training_logs.read_logs([path])
         return ReportRun(run, log, quoted)

@@ -15,7 +15,6 @@ from contextlib import closing, suppress
 from dataclasses import field, replace
 from functools import cached_property
 from pathlib import Path
-from shlex import quote
 from typing import Any, Literal
 
 import gymnasium as gym
@@ -43,6 +42,7 @@ from deepbots_cli.view.episodes import ShowingState
 from deepbots_cli.view.frames import successful_agents, value_of_row
 from deepbots_cli.view.recordings import observation_hash
 from deepbots_cli.view.replay import observation_hash_at, version_changes
+from deepbots_cli.words import shell_word
 
 StepValues = Mapping[str, Sequence[float]]
 """The kept values of a step in the supervisor: the components of each value, by its name."""
@@ -610,7 +610,7 @@ def trace_episodes(
     from deepbots_cli.rollout.policies import PolicyDriver
 
     if not run.model(model).is_file():
-        path = quote(str(run.path))
+        path = shell_word(run.path)
         if run.record.status == "failed":
             raise RunError(
                 f"the training of {run.path} failed before it saved a model; find the cause with: deepbots"

@@ -16,7 +16,6 @@ from dataclasses import field, replace
 from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 from statistics import fmean
 from typing import Any, Literal, NamedTuple
 
@@ -54,6 +53,7 @@ from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.training_logs import logs_of, scalars_of
+from deepbots_cli.words import shell_word
 
 MIN_EPISODES = 8
 """The number of episodes below which the returns of a training are not meaningful."""
@@ -206,7 +206,7 @@ class TrainingEvidence:
     @property
     def scenario_argument(self) -> str:
         """The scenario as an argument of a command, quoted for a shell."""
-        return quote(named_source(self.run.record.source))
+        return shell_word(named_source(self.run.record.source))
 
     def episodes_of(self, stage: str) -> Any:
         return self.all_episodes[self.all_episodes.stages == stage]
@@ -383,7 +383,7 @@ class TrainingEvidence:
         record, path = self.run.record, self.run.path
         # A single seed with more steps would no longer be one of its group.
         folder = path.parent if folder_kind(path.parent) is SourceKind.GROUP else path
-        command = f"deepbots resume {quote(display_path(folder))}"
+        command = f"deepbots resume {shell_word(display_path(folder))}"
         more = planned if planned > 1.1 * self.steps else max(self.planned, longer_goal(self.steps))
         # An interrupted training goes on to its own total.
         if record.state(self.run.path) != "interrupted" or more != record.total_timesteps:

@@ -16,7 +16,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from pydantic import BaseModel, Field, NonNegativeInt
@@ -47,7 +46,7 @@ from deepbots_cli.learning.runs.statistics import COST_SHARE, Confirmation, Inte
 from deepbots_cli.learning.teaching import Plan, TeacherState, Teaching
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode, Start
-from deepbots_cli.words import number_text
+from deepbots_cli.words import number_text, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
@@ -656,7 +655,7 @@ class TrainingCallback:
         if active.interruption.requested and not self._stop_noted:
             self._stop_noted = True
             active.reporter.note(
-                f"stopping after this rollout; continue with: deepbots resume {quote(str(active.run.path))}"
+                f"stopping after this rollout; continue with: deepbots resume {shell_word(active.run.path)}"
             )
         return not self._is_ending
 

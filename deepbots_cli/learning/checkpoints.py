@@ -24,7 +24,6 @@ import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
@@ -45,6 +44,7 @@ from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.rollout.collector import ShardState
 from deepbots_cli.runtime.batch import EpisodeHistory
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
@@ -233,11 +233,11 @@ def damage_explained(run: Run, folder: Path | None) -> Iterator[None]:
             explained = RunError(
                 f"{folder} is damaged, or belongs to another training ({type(error).__name__}: {reason})"
             )
-        path = quote(str(run.path))
+        path = shell_word(run.path)
         explained.add_note(
             "the run has no earlier checkpoint; its policies can still be evaluated: deepbots eval " + path
         )
-        scenario = quote(str(run.path / RESOLVED_NAME))
+        scenario = shell_word(run.path / RESOLVED_NAME)
         explained.add_note(
             f"to start a new run with the weights of the best policy: deepbots train {scenario}"
             f" --initialize-from {path}"

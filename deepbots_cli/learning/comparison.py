@@ -8,7 +8,6 @@ from dataclasses import field
 from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 from statistics import fmean, stdev
 from typing import Any, NamedTuple
 
@@ -42,7 +41,7 @@ from deepbots_cli.rollout.episode import OnEpisode
 from deepbots_cli.rollout.policies import StopCondition
 from deepbots_cli.rollout.source import RECORD_NAME, SourceKind, folder_kind
 from deepbots_cli.scenario import Scenario
-from deepbots_cli.words import beside, counted, rate_beside
+from deepbots_cli.words import beside, counted, rate_beside, shell_word
 
 MIN_SEEDS = 3
 """The number of runs in a group below which the interval of a difference is so wide that it rarely excludes
@@ -535,7 +534,7 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
     if not ready:
         raise RunError(
             f"{group.path} contains no trained run yet; train it with: deepbots resume"
-            f" {quote(str(group.path))}"
+            f" {shell_word(group.path)}"
         )
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
     return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)

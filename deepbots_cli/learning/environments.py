@@ -20,7 +20,6 @@ from contextlib import closing, contextmanager, suppress
 from functools import partial
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 import gymnasium as gym
@@ -61,6 +60,7 @@ from deepbots_cli.rollout.worlds import HistoryRecorder, has_copies
 from deepbots_cli.runtime.batch import BatchSupervisor, EpisodeHistory, LostWorld
 from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE, Predictor
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.learner import Learner
@@ -556,7 +556,7 @@ def _failure_text(
         path = write_numbered(run.path / FAILURES_FOLDER, failure.model_dump_json() + "\n")
     except RunError:  # the run cannot be written to
         return text
-    return f"{text}\nreproduce it with: deepbots try {quote(str(path))}"
+    return f"{text}\nreproduce it with: deepbots try {shell_word(path)}"
 
 
 def is_finite(observation: Any) -> bool:

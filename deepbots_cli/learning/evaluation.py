@@ -13,7 +13,6 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
 from itertools import chain, pairwise
 from pathlib import Path
-from shlex import quote
 from typing import Any, NamedTuple
 
 from deepbots_cli import api
@@ -55,6 +54,7 @@ from deepbots_cli.rollout.source import RECORD_NAME
 from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
+from deepbots_cli.words import shell_word
 
 MAX_BATCH_WORLDS = 32
 """The number of worlds of a batch. The array operations of a batch take as long per step as 5 single worlds,
@@ -503,7 +503,7 @@ class _Setting:
         lines = [f"scenario {elsewhere}"] if elsewhere else []
         if not elsewhere and run.record.digest not in (digest, run.digest):
             lines.append("scenario changed since the training")
-        lines += [f"--set {quote(text)}" for text in overrides]
+        lines += [f"--set {shell_word(text)}" for text in overrides]
         if self.case:
             lines.append(f"case {self.case}")
         if self.stage:
@@ -596,7 +596,7 @@ def keep(
         if result is None:
             raise UsageError(
                 f"the training of {folder} has not ended; continue it with: deepbots resume"
-                f" {quote(str(folder))}"
+                f" {shell_word(folder)}"
             )
         if ref.is_named and not has_model(folder, ref.name):
             raise RunError(

@@ -15,6 +15,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.training import train
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.words import shell_word
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,10 @@ def repeat(
     source = Run.open(run)
     record = source.record
     if record.result is None or not record.is_finished:
-        raise RunError(f"the training of {source.path} is not finished; finish it with `deepbots resume`")
+        raise RunError(
+            f"the training of {source.path} is not finished; finish it with:"
+            f" deepbots resume {shell_word(source.path)}"
+        )
     taught = next((path for path in (source.demonstrations, source.teacher) if path.exists()), None)
     initial = source.model("initial")
     folder = source.path.resolve().parent

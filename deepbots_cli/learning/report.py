@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
 from pathlib import Path
-from shlex import quote
 from typing import NamedTuple, TextIO
 
 from deepbots_cli.display import Display
@@ -17,7 +16,7 @@ from deepbots_cli.learning.runs.order import Candidate, Measure
 from deepbots_cli.learning.runs.records import TrainingResult
 from deepbots_cli.program.task import Solved
 from deepbots_cli.records import dataclass
-from deepbots_cli.words import beside, rate_beside, rate_text
+from deepbots_cli.words import beside, rate_beside, rate_text, shell_word
 
 LINE_INTERVAL_S = 30.0
 """The time in s after a line without a terminal until the next one."""
@@ -232,7 +231,7 @@ class GroupProgressReporter(GroupReporter):
         if not self._is_stopping:
             self._is_stopping = True
             self._display.print(
-                f"stopping after these rollouts; continue with: deepbots resume {quote(str(self._group))}"
+                f"stopping after these rollouts; continue with: deepbots resume {shell_word(self._group)}"
             )
 
     def close(self) -> None:

@@ -49,7 +49,7 @@ from deepbots_cli.rollout.recordings import Recording, actions
 from deepbots_cli.rollout.source import RECORD_NAME, Source
 from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.scenario.training import ALGORITHMS
-from deepbots_cli.words import number_text, rate_text
+from deepbots_cli.words import number_text, rate_text, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.learning.environments import Evaluator
@@ -315,7 +315,7 @@ def demonstrate(path: str | Path, program: Program, build: WorldFactory) -> Demo
             else f"none of its {len(episodes)} episodes succeeds"
         )
         raise UsageError(
-            f"{path} cannot teach {program.name}: {count}; look at them with: deepbots replay {path}"
+            f"{path} cannot teach {program.name}: {count}; look at them with: deepbots replay {shell_word(path)}"
         )
     return Demonstrations(
         _stacked(observations),

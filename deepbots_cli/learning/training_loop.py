@@ -9,7 +9,6 @@ from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 
 from deepbots_cli.errors import DeepbotsError, PluginError, RunError, StorageError, UsageError
 from deepbots_cli.files import unwritable_message
@@ -52,6 +51,7 @@ from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollect
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
+from deepbots_cli.words import shell_word
 
 
 @dataclass(frozen=True)
@@ -468,11 +468,11 @@ def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoint
         isinstance(explained, PluginError) or isinstance(explained.__cause__ or error, OSError)
     ):
         explained.add_note(
-            f"{checkpoints.description}; continue from there with: deepbots resume {quote(str(run.path))}"
+            f"{checkpoints.description}; continue from there with: deepbots resume {shell_word(run.path)}"
         )
     elif checkpoints.has_learned:  # a resumed training would fail again, to the bit
         explained.add_note(
-            f"{checkpoints.description}; evaluate what was learned with: deepbots eval {quote(str(run.path))}"
+            f"{checkpoints.description}; evaluate what was learned with: deepbots eval {shell_word(run.path)}"
         )
     elif checkpoints.description:
         explained.add_note(

@@ -23,10 +23,10 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice, product
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from shlex import quote
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
+from deepbots_cli.words import shell_word
 
 _SCHEMES = ("package", "model")
 _MAX_MANIFEST_BYTES = 1 << 16  # of package.xml; the name is at its beginning
@@ -298,7 +298,7 @@ def _clone(folder: Path) -> Path | None:
 
 def _outside_help(allow: Path | None) -> str:
     if allow is not None:
-        return f"add `--allow-path {quote(str(allow))}` to the command"
+        return f"add `--allow-path {shell_word(allow)}` to the command"
     return "move it into the folder of the robot file, or allow its folder with --allow-path"
 
 

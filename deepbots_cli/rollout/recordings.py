@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from gymnasium import spaces
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.records import dataclass
+from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
     from deepbots_robot.model import BundleInfo
@@ -342,7 +342,7 @@ class RobotLog:
                 raise RecordingError(
                     f"{path} is the log of a robot without the scenario, which the page draws; serve a whole"
                     f" bundle of this version of deepbots, or read the log with: deepbots diagnose"
-                    f" {quote(str(path))}"
+                    f" {shell_word(path)}"
                 )
             info = decode(description)
             files = {safe_name(name): content for name, content in files.items()}
@@ -372,7 +372,8 @@ class RobotLog:
         numbered = next((episode for episode in self.episodes if episode.number == number), None)
         if numbered is None:
             raise UsageError(
-                f"{self.path} contains no episode {number}; list them with: deepbots replay {self.path}"
+                f"{self.path} contains no episode {number}; list them with: deepbots replay"
+                f" {shell_word(self.path)}"
             )
         return numbered
 

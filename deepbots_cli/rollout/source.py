@@ -23,7 +23,6 @@ from dataclasses import replace
 from enum import Enum
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 
 from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
@@ -33,6 +32,7 @@ from deepbots_cli.document.load import NO_DRAFTS, TESTS, TUNE, Drafts
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.records import dataclass
 from deepbots_cli.scenario import Scenario
+from deepbots_cli.words import shell_word
 
 _MAX_ABOVE = 4
 _MAX_LISTED = 8
@@ -41,8 +41,8 @@ _MAX_RUNS = 500
 
 
 def scenario_name_for(path: Path) -> str:
-    """Return the name of a new scenario for a robot file."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "mine"
+    """Return the name of a new scenario for a robot file; it begins with a letter."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem).lstrip("0123456789_-")[:64] or "mine"
 
 
 def missing_path_hint(path: Path, folder_kind: Callable[[Path], object]) -> str:
@@ -206,7 +206,7 @@ class Source:
             if opened.kind in (SourceKind.STUDY, SourceKind.GROUP):
                 inner = _first_inside(opened.path, kinds)
                 noun = "trials" if SourceKind.GROUP in kinds else "runs"
-                hint = f"; name one of its {noun}, such as {quote(str(inner))}" if inner else ""
+                hint = f"; name one of its {noun}, such as {shell_word(inner)}" if inner else ""
             elif (
                 SourceKind.RUN in kinds
                 and opened.kind is SourceKind.SCENARIO
@@ -215,11 +215,11 @@ class Source:
                 is_shipped = shipped.scenario_path(opened.path.stem) == opened.path
                 name = opened.path.stem if is_shipped else opened.name
                 hint = (
-                    f"; train it first with `deepbots train {quote(name)}`, or name one of its runs,"
+                    f"; train it first with `deepbots train {shell_word(name)}`, or name one of its runs,"
                     " which `deepbots runs` lists"
                 )
             elif opened.kind is SourceKind.RUN and SourceKind.SCENARIO in kinds:
-                name = quote(opened.name)
+                name = shell_word(opened.name)
                 hint = (
                     f"; its scenario is {opened.scenario}; `deepbots resume {name}` continues its training, and"
                     f" `deepbots repeat {name}` trains it again"
@@ -238,7 +238,7 @@ class Source:
             if kind is not None:
                 return cls.kept(path, permissions, kind)
             if path.exists() and path.suffix.lower() in (".urdf", ".xacro"):
-                words = quote(name)
+                words = shell_word(name)
                 raise error(
                     f"{name} is a robot file, not a scenario; `deepbots inspect {words}` describes it,"
                     f" `deepbots new {scenario_name_for(path)} --urdf {words}` writes a scenario for it"

@@ -12,7 +12,6 @@ import queue
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from shlex import quote
 from typing import Any
 
 from deepbots_cli.diagnostics.render import render
@@ -31,6 +30,7 @@ from deepbots_cli.view.playback import MAX_STEPPING_S, ManualInput, Playback, Sh
 from deepbots_cli.view.recordings import DrivenEpisodes
 from deepbots_cli.view.replay import ReplayPlayer, open_player
 from deepbots_cli.view.scene import SceneCameras, WorldScene
+from deepbots_cli.words import shell_word
 
 FRAME_RATE = 30
 """Pictures per second of real time."""
@@ -113,7 +113,7 @@ class Page:
         opened = self._open(source)
         if playing and opened.recording is not None:
             raise UsageError(
-                f"`play` does not accept a recording; use: deepbots view {quote(source.reference)}"
+                f"`play` does not accept a recording; use: deepbots view {shell_word(source.reference)}"
             )
         self._hidden: set[Any] = set()
         self.server, self.address = server.serve(

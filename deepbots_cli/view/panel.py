@@ -12,7 +12,6 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import islice
-from shlex import quote
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,7 @@ from deepbots_cli.view.episodes import Player
 from deepbots_cli.view.frames import COLORS, AgentFrame, FrameLayout, Image, PlottedField, WorldFrame
 from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
 from deepbots_cli.view.replay import ReplayPlayer
-from deepbots_cli.words import number_text
+from deepbots_cli.words import number_text, shell_word
 
 if TYPE_CHECKING:
     import viser
@@ -592,4 +591,4 @@ def _record(playback: Playback, client: Any) -> None:
             "not recorded", f"this page has written {MAX_RECORDINGS} recordings; start `deepbots play` again"
         )
     else:
-        client.add_notification(f"{path} written", f"deepbots view {quote(str(path))}", loading=False)
+        client.add_notification(f"{path} written", f"deepbots view {shell_word(path)}", loading=False)

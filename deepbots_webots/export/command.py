@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from shlex import quote
 
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import run_to_export
@@ -13,6 +12,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.runs.run import ModelRef
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.words import shell_word
 from deepbots_webots.export import files
 
 
@@ -56,5 +56,5 @@ def export(
         {"folder": folder, "differs": prepared.gaps.differs, "files": [str(path) for path in contents]},
         f"{folder}: {len(contents)} files; open {world} in Webots",
         as_json=as_json,
-        next_commands=[f"deepbots webots {quote(str(folder / world))} --allow-code"],
+        next_commands=[f"deepbots webots {shell_word(folder / world)} --allow-code"],
     )

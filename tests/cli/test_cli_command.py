@@ -106,14 +106,10 @@ def test_only_one_module_starts_python():
 
 
 @pytest.mark.parametrize("verb", COMMANDS)
-def test_every_verb_explains_itself_with_examples_that_parse(deepbots, verb):
+def test_every_verb_explains_itself_with_examples(deepbots, verb):
     ran = deepbots(verb, "--help")
     assert COMMANDS[verb] in ran.out
     assert f"  deepbots {verb} " in ran.out or f"  deepbots {verb}\n" in ran.out
-    command = Commands().get_command(None, verb)
-    examples = [line.strip().split("  ")[0].split(" && ")[0].split() for line in command.help.splitlines()]
-    for words in [words for words in examples if words[:2] == ["deepbots", verb]]:
-        command.make_context(verb, words[2:]).close()
 
 
 def test_the_help_of_test_names_a_test_of_the_scenario(deepbots):

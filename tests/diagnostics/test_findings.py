@@ -429,7 +429,7 @@ def test_findings_are_selected_by_words(
         ("DB77", "--select: there is no finding 'DB77'; did you mean DB"),
         ("term-dominate", "did you mean term-dominates?"),
         ("", "there is no finding ''"),
-        ("zzzzz", "deepbots explain lists them"),
+        ("zzzzz", "`deepbots explain` lists them"),
         (
             "db716",
             "--select: the rule db716 is gone; `deepbots lint --exploits` finds such rewards by playing",

@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from pathlib import Path
-from shlex import quote
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -41,7 +40,7 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-from deepbots_cli.words import counted, number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.analysis.changes import Meanings
@@ -155,7 +154,7 @@ def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compi
     if not compiled.program.members:
         raise UsageError(
             f"{runs[0]} is a scenario with one agent; compare runs of it, or see what its scripts do with:"
-            f" deepbots try {quote(str(runs[0]))} --driver NAME"
+            f" deepbots try {shell_word(runs[0])} --driver NAME"
         )
     return compiled
 
@@ -567,7 +566,7 @@ def _show_run(folder: Path, *, as_json: bool) -> list[Row]:
     tables = [f"run {folder}\n{table([_run_row(run)])}", *([f"\nevaluations\n{table(rows)}"] if rows else [])]
     terminal.show({**_run_data(run), "evaluations": data}, *tables, as_json=as_json)
     notes = list(_own_notes(run))
-    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {quote(str(folder))}"]
+    notes += [] if rows else [f"there is no evaluation yet; next: deepbots eval {shell_word(folder)}"]
     notes += [f"evaluation {number}: {entry}" for number, entry in entries if isinstance(entry, str)]
     if not as_json:
         for note in notes:

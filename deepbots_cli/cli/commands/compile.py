@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from typing import Annotated
 
 import typer
@@ -26,6 +25,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.installation import clone_folder
 from deepbots_cli.program import identity
 from deepbots_cli.scenario.json_schema import schema_text
+from deepbots_cli.words import shell_word
 
 
 def command(
@@ -72,7 +72,7 @@ def command(
     terminal.note_warnings(compiled.findings, scenario)
     if project is not None:
         paths = write_new(project_files(compiled), project, force=force)
-        further = [f"cd {quote(str(project))} && python run.py"]
+        further = [f"cd {shell_word(project)} && python run.py"]
         terminal.show(
             {"project": project, "files": paths}, *map(str, paths), as_json=as_json, next_commands=further
         )
@@ -197,7 +197,7 @@ def _schema(scenario: str | None, output: Path | None, *, force: bool, folders: 
     if checked.findings.errors:
         terminal.note(
             f"{summary(checked.findings.errors)}: names in unreadable parts are missing; see: deepbots lint"
-            f" {quote(scenario)}"
+            f" {shell_word(scenario)}"
         )
     if output is not None and Path(scenario).is_file():
         terminal.note(

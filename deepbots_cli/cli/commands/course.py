@@ -7,7 +7,6 @@ from contextlib import suppress
 from datetime import date
 from enum import StrEnum
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -31,7 +30,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_folder, check_output, read_at_most
 from deepbots_cli.processes import available_cores
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.course.grading import Marks
@@ -123,7 +122,7 @@ def _list(folder: Path, *, as_json: bool) -> None:
         )
     current = next((row for row in rows if row["points"] and not _is_full(row)), None)
     following = next((row["lesson"] for row in rows if not row["points"]), 1)
-    command = f"check {quote(str(current['folder']))}" if current else f"start {following}"
+    command = f"check {shell_word(current['folder'])}" if current else f"start {following}"
     terminal.show(
         rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
     )
@@ -150,7 +149,7 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
         f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n",
         table(rows, is_prose=True),
         as_json=as_json,
-        next_commands=[f"cd {quote(str(folder))}", "read README.md", "deepbots course check"],
+        next_commands=[f"cd {shell_word(folder)}", "read README.md", "deepbots course check"],
     )
 
 
@@ -173,7 +172,7 @@ def _check(folder: Path, workers: int, *, as_json: bool) -> None:
         marks = started.check(workers)
     open_step = next((step for step in marks.steps if step.points < step.of), None)
     following = ["next"] if open_step is None else ["hint", "--step", open_step.step]
-    following[1:1] = [] if folder == Path() else [quote(str(folder))]
+    following[1:1] = [] if folder == Path() else [shell_word(folder)]
     lines = _lines(started.lesson(), marks)
     terminal.show(
         marks.data(), *lines, as_json=as_json, next_commands=[f"deepbots course {' '.join(following)}"]

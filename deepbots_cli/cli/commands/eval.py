@@ -9,7 +9,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
@@ -50,7 +49,7 @@ from deepbots_cli.learning.runs.statistics import Interval, Verdict, gate_mean, 
 from deepbots_cli.program.identity import task_digest
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.words import beside, counted
+from deepbots_cli.words import beside, counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
@@ -492,7 +491,7 @@ def _repeat_failed(ref: ModelRef, *, as_json: bool, permissions: Permissions) ->
         f"  '{ending}' ended {count}"
         for ending, count in Counter(row["ended_by"] for row in rows).most_common()
     ]
-    name = quote(str(ref.path if ref.is_named else run.path))
+    name = shell_word(ref.path if ref.is_named else run.path)
     commands = [f"deepbots diagnose {name} --episode {number}" for number in failed[:1]]
     commands += [f"deepbots render {name} -o failed.mp4 --episodes failed"] if failed else []
     data = {"run": run.path, "evaluation": path, "episodes": len(evaluation.outcomes), "failed": rows}
@@ -632,7 +631,7 @@ def scenario_label(
     if compiled is None or not (scenario or overrides):
         return None
     is_same_task = task_digest(compiled.program) == task_digest(run.program)
-    changed = "".join(f" --set {quote(text)}" for text in overrides)
+    changed = "".join(f" --set {shell_word(text)}" for text in overrides)
     return (
         f"{scenario or 'of the run'}{changed},"
         f" {'with the same episodes as the training' if is_same_task else 'different from the training'}"

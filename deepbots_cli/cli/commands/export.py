@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -36,7 +35,7 @@ from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import Source, SourceKind, folder_kind
-from deepbots_cli.words import number_text
+from deepbots_cli.words import number_text, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.robot import SimulatedRobot
@@ -150,7 +149,7 @@ def command(
 def _show_folder(folder: Path, files: Mapping[PurePosixPath, bytes], form: Form, *, as_json: bool) -> None:
     """Print the files for another program, and for a hub how to upload them."""
     is_hub = form is Form.hub
-    upload = [f"hf upload YOUR_NAME/{quote(folder.resolve().name)} {quote(str(folder))}"] if is_hub else []
+    upload = [f"hf upload YOUR_NAME/{shell_word(folder.resolve().name)} {shell_word(folder)}"] if is_hub else []
     if is_hub and PurePosixPath("replay.mp4") not in files:
         terminal.note("there is no video, because this machine draws no pictures or writes no MP4")
     listing = f"{folder}: {', '.join(map(str, files))}"
@@ -184,11 +183,11 @@ def _show_bundle(
         )
     if info.evaluation is None and model == "best" and not as_json:
         terminal.note(
-            f"evaluate the run first for a result in the bundle: deepbots eval {quote(str(source))}"
+            f"evaluate the run first for a result in the bundle: deepbots eval {shell_word(source)}"
         )
     next_commands = [
-        f"deepbots serve {quote(str(folder))}",
-        f"deepbots export --check SCENARIO {quote(str(folder))}",
+        f"deepbots serve {shell_word(folder)}",
+        f"deepbots export --check SCENARIO {shell_word(folder)}",
     ]
     terminal.show(
         {"bundle": folder, **plain(info)}, "\n".join(lines), as_json=as_json, next_commands=next_commands
@@ -211,8 +210,8 @@ def _write_key(file: Path, *, as_json: bool) -> None:
         f"{public}: the public key, for the computer of the robot",
         as_json=as_json,
         next_commands=[
-            f"deepbots export RUN --sign {quote(str(file))}",
-            f"deepbots serve BUNDLE --trusted {quote(str(public))}",
+            f"deepbots export RUN --sign {shell_word(file)}",
+            f"deepbots serve BUNDLE --trusted {shell_word(public)}",
         ],
     )
 
@@ -233,11 +232,11 @@ def _check(
     differ = identity.compare_interfaces(
         contents.scenario.interface, identity.interface(compiled.program), words=words
     )
-    settings = "".join(f" --set {quote(text)}" for text in overrides)
+    settings = "".join(f" --set {shell_word(text)}" for text in overrides)
     remarks = bundle.remarks(
         contents,
         compiled.program,
-        f"deepbots diff {quote(str(folder / 'scenario.yaml'))} {quote(scenario)}{settings}",
+        f"deepbots diff {shell_word(folder / 'scenario.yaml')} {shell_word(scenario)}{settings}",
     )
     verdict = (
         f"the policy in {folder} does not fit {scenario}:"
@@ -384,7 +383,7 @@ def _serve_policy(
             if trusted is not None:
                 raise UsageError(
                     f"{folder} is a run, and --trusted needs a signed bundle: deepbots export"
-                    f" {quote(str(folder))} --sign KEY"
+                    f" {shell_word(folder)} --sign KEY"
                 )
             folder = _exported_bundle(folder, stack)
         try:

@@ -13,7 +13,6 @@ from enum import StrEnum
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from shlex import quote
 from typing import Annotated, Literal
 
 import typer
@@ -56,7 +55,7 @@ from deepbots_cli.lint.settings import scenarios_in, settings
 from deepbots_cli.processes import safe_path
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 _FAILING_SEVERITIES: dict[str, tuple[Severity, ...]] = {
     "error": ("error",),
@@ -593,7 +592,7 @@ def _tidied(path: Path) -> Rewrite | None:
     root = parse(source, findings) if readable else None
     if root is None or findings.errors:
         terminal.print_error(
-            f"{path} is not changed because it cannot be read; see: deepbots lint {quote(str(path))}"
+            f"{path} is not changed because it cannot be read; see: deepbots lint {shell_word(path)}"
         )
         return None
     new_text = canonical_text(source.text)

@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
-from shlex import quote
 from typing import Annotated
 
 import typer
@@ -43,6 +42,7 @@ from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
 from deepbots_cli.scenario.json_schema import schema_text
+from deepbots_cli.words import shell_word
 
 _WORKFLOW = """\
 name: lint
@@ -190,8 +190,8 @@ def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
     }
     write_new(contents, folder, force=force)
     commands = [
-        f"deepbots course verify {quote(str(folder))}",
-        f"deepbots course start {quote(str(folder))} as_a_student",
+        f"deepbots course verify {shell_word(folder)}",
+        f"deepbots course start {shell_word(folder)} as_a_student",
     ]
     terminal.show(
         {"lesson": str(folder)}, f"{folder}: a lesson to change", as_json=as_json, next_commands=commands
@@ -252,7 +252,7 @@ def validated_name(name: str) -> str:
     if folder and _NAME.fullmatch(last):
         raise UsageError(
             f"'{name[:80]}' contains a folder; write the folder after the name: deepbots new {last}"
-            f" {quote(folder)} ..."
+            f" {shell_word(folder)} ..."
         )
     if not _NAME.fullmatch(bare):
         raise UsageError(
@@ -265,7 +265,7 @@ def validated_name(name: str) -> str:
 def _options(folders: Iterable[str | Path]) -> str:
     """Return the options that allow these folders, with a blank before each."""
     paths = (folders,) if isinstance(folders, (str, Path)) else folders
-    return "".join(f" --allow-path {quote(str(folder))}" for folder in paths)
+    return "".join(f" --allow-path {shell_word(folder)}" for folder in paths)
 
 
 def _from_robot(
@@ -280,8 +280,10 @@ def _from_robot(
             raise
         terminal.show_findings(error.findings)
         allowed = _options([*permissions.folders, *error.allow])
-        words = "".join(f" --xacro-arg {quote(f'{key}:={value}')}" for key, value in choices.xacro.items())
-        base = f"deepbots new {quote(name)} --urdf {quote(robot)}{words}{_folder_argument(folder)}{allowed}"
+        words = "".join(
+            f" --xacro-arg {shell_word(f'{key}:={value}')}" for key, value in choices.xacro.items()
+        )
+        base = f"deepbots new {shell_word(name)} --urdf {shell_word(robot)}{words}{_folder_argument(folder)}{allowed}"
         terminal.note(
             f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
             f"to leave them where they are, and allow the folder in each command:\n  {base}"
@@ -297,7 +299,7 @@ def _note_kind(urdf: str, first: FirstScenario) -> None:
 
 
 def _folder_argument(folder: Path) -> str:
-    return "" if folder == Path(".") else f" {quote(str(folder))}"
+    return "" if folder == Path(".") else f" {shell_word(folder)}"
 
 
 def from_robot(
@@ -362,12 +364,12 @@ def _reference(robot: str, name: str, folder: Path, permissions: Permissions) ->
         [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)],
     )
     if isinstance(referenced, UnusableFile):
-        command = f"deepbots new {quote(name)} --urdf {quote(robot)}{_folder_argument(folder)}"
-        parent = quote(os.path.dirname(robot) or ".")
+        command = f"deepbots new {shell_word(name)} --urdf {shell_word(robot)}{_folder_argument(folder)}"
+        parent = shell_word(os.path.dirname(robot) or ".")
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, because the file {referenced.problem};"
             f" copy it with its meshes: `{command} --copy`; or allow its folder, here and in later commands:"
-            f" `{command} --allow-path {quote(str(parent))}`; a robot of an installed package is named as"
+            f" `{command} --allow-path {shell_word(parent)}`; a robot of an installed package is named as"
             " package://PACKAGE/PATH"
         )
     return path
@@ -393,7 +395,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
         names = shipped.scenario_names()
         if shipped_name.endswith((".yaml", ".yml")) and os.path.isfile(shipped_name):
             advice = (
-                f"copy your own file with `cp {quote(shipped_name)} {name}.yaml`, or write `extends:"
+                f"copy your own file with `cp {shell_word(shipped_name)} {name}.yaml`, or write `extends:"
                 f" {shipped_name}` in a new file"
             )
             raise UsageError(
@@ -402,7 +404,7 @@ def from_shipped(shipped_name: str, name: str) -> Files:
         if shipped_name.startswith("package://") or shipped_name.endswith((".urdf", ".xacro")):
             raise UsageError(
                 f"--from copies a scenario, and {shipped_name} is a robot; for a scenario with this robot:"
-                f" deepbots new {quote(name)} --urdf {quote(shipped_name)}"
+                f" deepbots new {shell_word(name)} --urdf {shell_word(shipped_name)}"
             )
         raise UsageError(
             f"there is no shipped scenario '{shipped_name}'{did_you_mean(shipped_name, names)}; shipped"
@@ -500,7 +502,7 @@ def _show(
 ) -> None:
     """Print the paths, with a mark at files that were there before with the same content, and the commands to
     go on with."""
-    scenario, schema = quote(str(paths[0])), quote(str(paths[0].with_suffix(".schema.json")))
+    scenario, schema = shell_word(paths[0]), shell_word(paths[0].with_suffix(".schema.json"))
     lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
         f"deepbots {command} {scenario}{_options(permissions.folders)}"

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -51,7 +50,7 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import resting_height, robot_bounds
 from deepbots_cli.robots.model import Pose
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind, folder_kind
-from deepbots_cli.words import counted, sentence_list
+from deepbots_cli.words import counted, sentence_list, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.report import Report
@@ -311,8 +310,8 @@ def _model(reference: str, kind: str, permissions: Permissions, *, last: bool) -
     opened = Source.open(reference, permissions, *SHOWN_KINDS)
     if kind == RECORDING_SUFFIX and opened.kind is SourceKind.RECORDING:
         raise UsageError(
-            f"{reference} is already a recording; `deepbots render {reference} -o video.mp4` makes a video of"
-            " it"
+            f"{reference} is already a recording; `deepbots render {shell_word(reference)} -o video.mp4`"
+            " makes a video of it"
         )
     if opened.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
         ref = ModelRef.open(opened, model="last" if last else "best")
@@ -442,7 +441,7 @@ def _show_files(kind: str, files: Sequence[Path], rows: Sequence[Row], *, as_jso
     }
     further: list[str] = []
     if kind == RECORDING_SUFFIX:
-        file = quote(str(files[0]))
+        file = shell_word(files[0])
         further = [f"deepbots view {file}", f"deepbots replay --verify {file}"]
     terminal.show(data, *_lines(kind, files, rows), as_json=as_json, next_commands=further)
 
@@ -520,8 +519,8 @@ def command_report(
 
     if folder_kind(run) is SourceKind.STUDY:
         raise UsageError(
-            f"the report of a study is gone; `deepbots runs {quote(str(run))}` lists the trials of {run}, and"
-            f" `optuna-dashboard {quote(str(run / JOURNAL_NAME))}` shows them in the browser (pip install"
+            f"the report of a study is gone; `deepbots runs {shell_word(run)}` lists the trials of {run}, and"
+            f" `optuna-dashboard {shell_word(run / JOURNAL_NAME)}` shows them in the browser (pip install"
             " optuna-dashboard)"
         )
     target = out or Path(f"{run.resolve().name}.html")
@@ -555,7 +554,7 @@ def command_report(
         figure_paths = report.write_figures(figures) if figures is not None else []
     for note in report.notes:
         terminal.note(f"note: {note}")
-    figures_text = f", {len(figure_paths)} figures in {quote(str(figures))}" if figure_paths else ""
+    figures_text = f", {len(figure_paths)} figures in {shell_word(figures)}" if figure_paths else ""
     data = {
         "report": target,
         "result": report.result,

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
@@ -60,7 +59,7 @@ from deepbots_cli.learning.runs.verdict import decline_of, run_verdict
 from deepbots_cli.processes import Process
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
 from deepbots_cli.scenario.training import MAX_SHARDS
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
@@ -264,7 +263,7 @@ def _give_tips(program: Program, scenario: str, timesteps: int | None, permissio
     """Name the search for exploits of the reward if it was not made from this folder, and a faster engine."""
     if not written_files.was_searched(program):
         terminal.note(
-            f"tip: `deepbots lint {quote(scenario)} --exploits` looks for ways to earn this reward without"
+            f"tip: `deepbots lint {shell_word(scenario)} --exploits` looks for ways to earn this reward without"
             " doing the task"
         )
     terminal.note_faster_engine(program, timesteps, permissions)
@@ -380,7 +379,7 @@ def command_repeat(
         f"{runs[0]} and {runs[1]}: {verdict}",
         *(f"  {difference}" for difference in differences),
         as_json=as_json,
-        next_commands=[" ".join(["deepbots compare", *map(quote, runs)])],
+        next_commands=[" ".join(["deepbots compare", *map(shell_word, runs)])],
     )
     if not repetition.is_same:
         raise typer.Exit(FAILED)
@@ -411,7 +410,7 @@ def _evaluating(trained: Path, *, quiet: bool) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         terminal.note(
-            f"interrupted; the training is finished, evaluate it with: deepbots eval {quote(str(trained))}"
+            f"interrupted; the training is finished, evaluate it with: deepbots eval {shell_word(trained)}"
         )
         raise typer.Exit(INTERRUPTED) from None
 
@@ -443,7 +442,7 @@ def finish_group(
         )
     for result in evaluation.evaluations:
         records.write_evaluation(Run.open(result.run), records.evaluation_json(result))
-    path = quote(str(trained.group))
+    path = shell_word(trained.group)
     data: dict[str, Any] = {"training": vars(trained), "evaluation": records.group_json(evaluation)}
     verdicts = {
         result.run: run_verdict(result.run, RunRecord.read(result.run)) for result in evaluation.evaluations
@@ -456,7 +455,7 @@ def finish_group(
     worst = min(unsolved, key=lambda result: (result.success_rate, result.mean_return), default=None)
     causes = [] if worst is None else _causes(worst.run, quiet=quiet, permissions=permissions)
     further = [
-        f"deepbots eval {path} --csv {quote(f'{trained.group.name}.csv')}",
+        f"deepbots eval {path} --csv {shell_word(f'{trained.group.name}.csv')}",
         f"deepbots compare {path} OTHER_GROUP",
         f"tensorboard --logdir {path}",
     ]
@@ -502,7 +501,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
             if evaluation.confirmation is None or cases:
                 records.write_evaluation(trained, evaluated)
     verdict = run_verdict(trained.path, trained.record)
-    run = quote(str(result.run))
+    run = shell_word(result.run)
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
     further = [f"deepbots report {run}", f"deepbots resume {run} {longer}"]
     if verdict.solved:
@@ -560,7 +559,7 @@ def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
         return changed
     first = causes[0]
     further_count = len(causes) - 1
-    more = f" ({further_count} more: deepbots diagnose)" if further_count else ""
+    more = f" ({further_count} more: `deepbots diagnose`)" if further_count else ""
     return [*changed, f"\nmost likely cause{of}{more}: {first.title}", f"try: {first.advice}"]
 
 
@@ -785,7 +784,7 @@ def command_apply(
     if best is None:
         raise UsageError(
             f"{study.path} has no complete trial yet; continue it with: deepbots resume"
-            f" {quote(str(study.path))}"
+            f" {shell_word(study.path)}"
         )
     name = scenario or study.record.source
     file = write_values(name, best.values, f"set by {study.path.name}, {best.path.name}", permissions)
@@ -795,7 +794,10 @@ def command_apply(
     data = {"file": file, "member": best.path.name, "values": best.values, "over_first": over_first}
     rows = [{"key": key, "value": text} for key, text in best.values.items()]
     first = max(study.record.seeds) + 1
-    further = [f"deepbots lint {quote(name)}", f"deepbots train {quote(name)} --seeds {first}..{first + 4}"]
+    further = [
+        f"deepbots lint {shell_word(name)}",
+        f"deepbots train {shell_word(name)} --seeds {first}..{first + 4}",
+    ]
     terminal.show(
         data, f"{file}: values of {best.path.name}\n{table(rows)}", as_json=as_json, next_commands=further
     )

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from functools import partial
 from math import inf
 from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -44,7 +43,7 @@ from deepbots_cli.learning.runs.episodes import check_common_measure
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.recorded_worlds import Difference
@@ -237,7 +236,7 @@ def _other_engine(name: str) -> str:
 
 def _lines(transfer: Transfer) -> list[str]:
     first_name, second_name = transfer.names
-    assignments = " ".join(f"--set {quote(text)}" for text in transfer.there.set)
+    assignments = " ".join(f"--set {shell_word(text)}" for text in transfer.there.set)
     changed = f" ({second_name} with {assignments})" if assignments else ""
     starts = f"{transfer.here.episodes} held-out starts from evaluation seed {transfer.here.seed}"
     lines = [
@@ -591,7 +590,7 @@ def _explain_log(path: Path, number: int | str | None, *, as_json: bool) -> None
     ]
     if not episodes:
         raise UsageError(
-            f"{path} has no episode {number}; list them with: deepbots replay {quote(str(path))}"
+            f"{path} has no episode {number}; list them with: deepbots replay {shell_word(path)}"
         )
     data = [
         {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
@@ -728,7 +727,7 @@ def _diagnose(
     folders = Group.open(source).runs if source.kind is SourceKind.GROUP else [run]
     if not folders:
         raise UsageError(
-            f"{run} is a group without a run yet; train it with: deepbots resume {quote(str(run))}"
+            f"{run} is a group without a run yet; train it with: deepbots resume {shell_word(run)}"
         )
     with terminal.transient_line("reading the logs ..."):
         from deepbots_cli.insight.diagnosis import diagnose as find_causes
@@ -761,7 +760,7 @@ def _diagnose(
         raise RunError(f"{run} contains no run that can be diagnosed")
     commands = [report["causes"][0].get("command") for report in reports if report.get("causes")]
     commands += [
-        f"deepbots eval {quote(str(report['run']))} --details"
+        f"deepbots eval {shell_word(report['run'])} --details"
         + (f" --agent {report['agent']}" if "agent" in report else "")
         for report in reports
         if report.get("causes") == [] and not (report["solved"] or report["running"])

@@ -9,7 +9,6 @@ from contextlib import closing
 from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
-from shlex import quote
 from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
@@ -55,7 +54,7 @@ from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.runtime.streams import derive_seed
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.cli.arguments import OpenedSource
@@ -402,8 +401,8 @@ def command_test(
         "tests": True,
     }
     added = [f"--engine {engine}"] if engine else []
-    added += [f"--set {quote(text)}" for text in overrides or ()]
-    added += [f"--allow-path {quote(str(folder))}" for folder in permissions.folders]
+    added += [f"--set {shell_word(text)}" for text in overrides or ()]
+    added += [f"--allow-path {shell_word(folder)}" for folder in permissions.folders]
     added += ["--allow-code"] if permissions.code else []
     arguments.check_dividable(
         workers, address, len(names), "there is one scenario; name several, or a folder"
@@ -495,7 +494,7 @@ def _command(scenario: str, result: TestResult, unmet: UnmetExpectation, options
     test = result.test
     episode = unmet.episode
     settings = [f"--{word} {value}" for word, value in (("case", test.case), ("stage", test.stage)) if value]
-    where = " ".join([quote(scenario), *settings, *options, *_acting_options(test)])
+    where = " ".join([shell_word(scenario), *settings, *options, *_acting_options(test)])
     if isinstance(test.driver, str):
         return f"deepbots view {where} --driver {test.driver} --seed {test.seed} --episode {episode}"
     actions = ",".join(action.text for action in test.driver)

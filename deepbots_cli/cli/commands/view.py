@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from shlex import join, quote
+from shlex import join
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -45,7 +45,7 @@ from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.program import identity
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
-from deepbots_cli.words import counted
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.rollout.recordings import Recording
@@ -195,7 +195,10 @@ def _finish(driven: DrivenEpisodes) -> None:
     ]
     further = [["deepbots", "replay", "--verify"], [*_training_words(driven.player.opened), "--teacher"]]
     terminal.show(
-        None, *lines, as_json=False, next_commands=[join([*words, str(driven.path)]) for words in further]
+        None,
+        *lines,
+        as_json=False,
+        next_commands=[f"{join(words)} {shell_word(driven.path)}" for words in further],
     )
 
 
@@ -344,7 +347,7 @@ def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> No
         about,
         records.recorded_table(rows),
         as_json=as_json,
-        next_commands=[f"deepbots replay --verify {recording}"],
+        next_commands=[f"deepbots replay --verify {shell_word(recording)}"],
     )
 
 
@@ -401,7 +404,7 @@ def _list_log(path: Path, *, as_json: bool) -> None:
             {**vars(episode), "events": [event._asdict() for event in episode.events]} for episode in episodes
         ],
     }
-    log = quote(str(path))
+    log = shell_word(path)
     after = [
         f"deepbots view {log}",
         f"deepbots diagnose {log} --episode {episodes[0].number}",
