@@ -433,8 +433,10 @@ def suppress(
         for entry in islice(_suppressions(source), _MAX_CODES):
             if isinstance(entry, Finding):
                 unused.append(entry)
-            else:
-                suppressions.setdefault((source, entry.line, entry.code), entry)
+            elif suppressions.setdefault((source, entry.line, entry.code), entry) is not entry:
+                headline = f"an earlier comment suppresses {entry.code} here"
+                fix = Fix((entry.removal,), safe=True)
+                unused.append(Finding("DB901", entry.span, headline, help=entry.help, fix=fix))
     remaining = []
     used = set()
     has_errors = False
@@ -479,7 +481,7 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
                 help="write the code: # deepbots: ignore[DB603]",
             )
         for code in codes:
-            others = [other[0] for other in codes if other[0] != code[0]]
+            others = [other[0] for other in codes if other is not code]
             yield _Suppression(
                 code[0],
                 Span(source, *code.span()),

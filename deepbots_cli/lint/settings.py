@@ -51,7 +51,11 @@ class Settings:
         path = path.resolve() if self.exclude else path
         inside = path.relative_to(self.root) if path.is_relative_to(self.root) else path
         above = [part.as_posix() for part in (inside, *inside.parents)]
-        return any(fnmatchcase(part, pattern.rstrip("/")) for pattern in self.exclude for part in above)
+        return any(
+            fnmatchcase(part, pattern.removeprefix("./").rstrip("/"))
+            for pattern in self.exclude
+            for part in above
+        )
 
 
 def settings(folder: Path | None = None) -> Settings:

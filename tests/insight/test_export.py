@@ -227,6 +227,8 @@ def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
     output = capsys.readouterr().out
     assert "observation.x: bundle -0.4 .. 0.4 m, scenario -1 .. 1 m" in output
     assert "cart.pole_angle" not in output
+    assert main(["export", "--check", "cartpole", str(bundle), "--agent", "one"]) == 2
+    assert "leave out --agent" in capsys.readouterr().err
     assert main(["export", "--check", "cartpole", str(bundle), "--set", "world.timestep=16ms"]) == 0
     output = capsys.readouterr().err
     assert "0.032 s" in output

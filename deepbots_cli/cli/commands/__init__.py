@@ -141,7 +141,7 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
     "export": {
         "--new-key": "--output --to --last --check --sign; makes a key and exports nothing",
         "--sign": "--check --to; signs a bundle",
-        "--check": "--output --last --to; writes nothing",
+        "--check": "--output --last --to --agent --force; writes nothing",
     },
     "lint": {
         "--json": "--format",
