@@ -7,13 +7,15 @@ preview run too. After a change of wording: UPDATE_GOLDEN=1 pytest tests/golden,
 
 import os
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from deepbots_cli import api
-from deepbots_cli.diagnostics import RULES
+from deepbots_cli.diagnostics import RULES, edited
 from deepbots_cli.diagnostics.render import render
+from deepbots_cli.lint import all_findings
 from tests.few import every
 from tests.golden.cases import HERE, Case, cases
 
@@ -43,6 +45,30 @@ def test_a_mistake_is_reported_once_in_short_plain_words(case: Case) -> None:
         assert not finding.headline.endswith(".")
         assert not re.search(r"\b(illegal|invalid|should|please)\b", finding.headline), finding.headline
         assert len(finding.headline) < 160
+
+
+@pytest.mark.parametrize("case", every(4, BAD))
+def test_each_fix_alone_removes_its_finding_and_leaves_no_more_errors(case: Case) -> None:
+    path = Path(f"err/{case}.yaml")
+    findings = api.lint(path, preview=True)
+    before = Counter((finding.severity, finding.code, finding.headline) for finding in findings)
+    for finding in findings:
+        if finding.fix is None:
+            continue
+        drafts = {
+            Path(source.name).resolve(): edited(
+                source, [edit for edit in finding.fix.edits if edit.span.source is source]
+            ).encode()
+            for source in {edit.span.source for edit in finding.fix.edits}
+        }
+        left = all_findings(api.load(path, drafts=drafts), preview=True)
+        after = Counter((other.severity, other.code, other.headline) for other in left)
+        entry = (finding.severity, finding.code, finding.headline)
+        assert after[entry] < before[entry], finding.headline
+        errors = [
+            sum(count for (level, *_), count in all_.items() if level == "error") for all_ in (before, after)
+        ]
+        assert errors[1] <= errors[0], (finding.headline, after - before)
 
 
 @pytest.mark.parametrize("case", GOOD)
