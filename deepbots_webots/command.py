@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 import time
 import webbrowser
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from string import digits
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 
 _MAX_NAMED = 5
 """The maximum number of worlds that a message names."""
-_NUMBERED = re.compile(r"(.*[^0-9])(0|[1-9][0-9]{0,5})")
+_MAX_DIGITS = 6
+"""The digits of a number in a range of names."""
 
 
 def command(
@@ -99,15 +100,16 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    files = _Files(world, protos or (), _chosen(controller or ()))
-    with _checked(world, protos or ()):
-        opened = _read(files)
-        if not allow_code:
+    files = (world, protos or (), _chosen(controller or ()))
+    is_fast = not view if fast is None else fast
+    page = (view, host, port, open_)
+    options = _Options(*files, steps, timeout, python, record, force, *page, is_fast, as_json)
+    with _checked(world, options.protos):
+        opened = _read(options)
+        if allow_code:
+            _run(opened, options)
+        else:
             _show_robots(opened, as_json=as_json)
-            return
-        is_fast = not view if fast is None else fast
-        options = _Options(steps, timeout, python, record, force, view, host, port, open_, is_fast, as_json)
-        _run(files, opened, options)
 
 
 def start(world: Path, protos: Sequence[Path], name: str, title: str) -> Starter:
@@ -177,12 +179,24 @@ def _chosen(words: Iterable[str]) -> dict[str, Path]:
 
 
 @dataclass(frozen=True)
-class _Files:
-    """What the user named: a world, folders with PROTO files, and programs by robot."""
+class _Options:
+    """The world with the folders of its PROTOs and programs by robot, how to run it, and where to serve its
+    page."""
 
     world: Path
     protos: Sequence[Path]
     controllers: dict[str, Path]
+    steps: int | None
+    timeout: float
+    python: Path | None
+    record: Path | None
+    force: bool
+    has_page: bool
+    host: str
+    port: int | None
+    opens_browser: bool
+    is_fast: bool
+    as_json: bool
 
 
 @dataclass(frozen=True)
@@ -194,20 +208,20 @@ class _Opened:
     programs: list[tuple[Robot, Program]]
 
 
-def _read(files: _Files) -> _Opened:
+def _read(options: _Options) -> _Opened:
     from deepbots_webots.project import programs, read_world
     from deepbots_webots.scene import build_scene
 
-    world = read_world(files.world, files.protos)
+    world = read_world(options.world, options.protos)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
     world.findings.require_none()
     names = [robot.name for robot in scene.robots]
-    unknown = next((name for name in files.controllers if name not in names), None)
+    unknown = next((name for name in options.controllers if name not in names), None)
     if unknown is not None:
         raise UsageError(f"--controller {unknown}=...: the robots of the world are {', '.join(names)}")
-    pairs = list(programs(world.files, scene.robots, files.controllers))
+    pairs = list(programs(world.files, scene.robots, options.controllers))
     for robot, program in pairs:
         if program.remark:
             terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.remark}")
@@ -242,39 +256,18 @@ def _controller(robot: Robot, path: Path | None) -> str:
 
 def _short(names: Iterable[str]) -> str:
     """Return names as a text, of which consecutive ones such as `ps0`, `ps1` and `ps2` are `ps0 .. ps2`."""
-    numbers: dict[tuple[str, bool], list[int]] = {}
+    stems: dict[str, list[str]] = {}
     for name in names:
-        match = _NUMBERED.fullmatch(name)
-        stem, number = match.groups() if match else (name, None)
-        each = numbers.setdefault((stem, match is not None), [])
-        each += [] if number is None else [int(number)]
+        stems.setdefault(name.rstrip(digits), []).append(name)
     entries = []
-    for (stem, _), each in numbers.items():
-        if len(each) > 2 and each == [*range(each[0], each[-1] + 1)]:
-            entries.append(f"{stem}{each[0]} .. {stem}{each[-1]}")
-        else:
-            entries += [f"{stem}{number}" for number in each] or [stem]
+    for stem, each in stems.items():
+        first = int(each[0].removeprefix(stem)[:_MAX_DIGITS] or 0)
+        is_range = len(each) > 2 and each == [f"{stem}{first + at}" for at in range(len(each))]
+        entries += [f"{each[0]} .. {each[-1]}"] if is_range else each
     return ", ".join(entries)
 
 
-@dataclass(frozen=True)
-class _Options:
-    """How to run a world, and where to serve its page."""
-
-    steps: int | None
-    timeout: float
-    python: Path | None
-    record: Path | None
-    force: bool
-    has_page: bool
-    host: str
-    port: int | None
-    opens_browser: bool
-    is_fast: bool
-    as_json: bool
-
-
-def _run(files: _Files, opened: _Opened, options: _Options) -> None:
+def _run(opened: _Opened, options: _Options) -> None:
     from deepbots_webots.simulation import Pace, Simulation
 
     simulation = Simulation(opened.scene, opened.world.span)
@@ -283,13 +276,13 @@ def _run(files: _Files, opened: _Opened, options: _Options) -> None:
         with ExitStack() as stack:
             viewer = None
             if options.has_page:
-                viewer = stack.enter_context(_serve(simulation, pace, files.world.name, options))
+                viewer = stack.enter_context(_serve(simulation, pace, options))
             outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
             # A stuck controller is a thread that nothing ends, and it would run beside its successor.
             while viewer is not None and pace.wants_restart and not outcome.is_stuck:
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(files)
+                opened = _read(options)
                 simulation = Simulation(opened.scene, opened.world.span)
                 pace = Pace(simulation, is_fast=pace.is_fast)
                 viewer.show(simulation, pace)
@@ -333,12 +326,12 @@ def _run_once(
         return runner.run(), time.perf_counter() - started
 
 
-def _serve(simulation: Simulation, pace: Pace, title: str, options: _Options) -> Viewer:
+def _serve(simulation: Simulation, pace: Pace, options: _Options) -> Viewer:
     """Serve the page of a run, and print its address. A run that is recorded has no second one."""
     from deepbots_webots.viewer import Viewer
 
-    can_restart = options.record is None
-    viewer = Viewer(simulation, pace, title, options.host, options.port, can_restart=can_restart)
+    name, can_restart = options.world.name, options.record is None
+    viewer = Viewer(simulation, pace, name, options.host, options.port, can_restart=can_restart)
     terminal.note(viewer.address)
     if options.opens_browser:
         webbrowser.open(viewer.address)

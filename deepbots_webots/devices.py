@@ -10,11 +10,15 @@ from __future__ import annotations
 import math
 import struct
 import sys
+from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
+from deepbots_cli import frames
+from deepbots_cli.frames import Triple
 from deepbots_webots.imaging import Camera, Lidar, RangeFinder
-from deepbots_webots.nodes import integer, number, numbers
+from deepbots_webots.nodes import integer, number, numbers, text
 from deepbots_webots.scene import Device as Spec
 from deepbots_webots.sensors import (
     GPS,
@@ -31,6 +35,8 @@ from deepbots_webots.sensors import (
     TouchSensor,
     Unimplemented,
     returns,
+    returns_count,
+    returns_integer,
     returns_list,
     returns_number,
 )
@@ -255,37 +261,63 @@ class Receiver(Sensor):
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
-        self._inbox = simulation.inboxes[spec]
-        self._size = integer(spec.node, "bufferSize")
+        self._channel, self._size = integer(spec.node, "channel"), integer(spec.node, "bufferSize")
+        self._arrived: list[Packet] = []
+        self._queue: deque[Packet] = deque()
 
-    def _begin(self) -> None:
-        self._inbox.is_enabled = True
+    def forget(self) -> None:
+        self._arrived.clear()
+        self._queue.clear()
 
-    def disable(self) -> None:
-        super().disable()
-        self._inbox.is_enabled = False
+    def hear(self, packet: Packet) -> None:
+        spec, sender = self._spec, packet.emitter
+        is_infra_red, is_light = (text(device.node, "type") == "infra-red" for device in (spec, sender))
+        fits = packet.channel in (-1, self._channel) or self._channel == -1
+        if not fits or is_infra_red != is_light or sender.body.robot is spec.body.robot:
+            return
+        position, rotation = self._frame()
+        start = self._simulation.physics.position(sender.body, sender.frame)
+        arrived = replace(packet, offset=frames.subtract(start, position), rotation=rotation)
+        if 0 <= packet.range < arrived.distance or (is_light and not self._sees(arrived, start)):
+            return
+        arrived.noise = 1 + self._noise(number(spec.node, "signalStrengthNoise"))
+        self._arrived.append(arrived)
+
+    def _sees(self, packet: Packet, start: Triple) -> bool:
+        """Return whether infra-red light from a point arrives: within both cones, and past obstacles."""
+        physics, sender, spec = self._simulation.physics, packet.emitter, self._spec
+        if packet.distance == 0:
+            return True
+        ahead = frames.scaled(packet.offset, -1 / packet.distance)
+        sent = physics.frame(sender.body, sender.frame)[1]
+        for device, direction in (
+            (sender, frames.rotate_back(sent, ahead)),
+            (spec, packet.direction),
+        ):
+            aperture = number(device.node, "aperture")
+            if aperture >= 0 and direction[0] < math.cos(min(aperture / 2, math.pi)):
+                return False
+        hit = physics.rays.cast(start, [ahead], packet.distance, sender.body.robot)[0]
+        # The ray may end at the robot that carries the receiver, which hides nothing.
+        return hit[1] < 0 or physics.geoms[hit[1]][0].robot is spec.body.robot
 
     def sample(self) -> None:
-        inbox = self._inbox
-        if not inbox.arrived:
-            return
-        size = self._size
-        for packet in inbox.arrived:
-            if size < 0 or sum(len(entry.data) for entry in inbox.queue) + len(packet.data) <= size:
-                inbox.queue.append(packet)
-        inbox.arrived.clear()
+        for packet in self._arrived:
+            waiting = sum(len(entry.data) for entry in self._queue)
+            if self._size < 0 or waiting + len(packet.data) <= self._size:
+                self._queue.append(packet)
+        self._arrived.clear()
 
-    def getQueueLength(self) -> int:
-        return len(self._inbox.queue)
+    getQueueLength = returns_count("_queue")
 
     def nextPacket(self) -> None:
-        self._inbox.queue.remove(self._head)
+        self._queue.remove(self._head)
 
     @property
     def _head(self) -> Packet:
-        if not self._inbox.queue:
+        if not self._queue:
             raise RuntimeError(f"the queue of the receiver '{self._spec.name}' is empty")
-        return self._inbox.queue[0]
+        return self._queue[0]
 
     getBytes = getData = returns("_head.data")
     getSignalStrength = returns("_head.strength")
@@ -299,13 +331,11 @@ class Receiver(Sensor):
         data = self._head.data
         return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
 
-    def getDataSize(self) -> int:
-        return len(self._head.data)
-
-    getChannel = returns("_inbox.channel")
+    getDataSize = returns_count("_head.data")
+    getChannel = returns("_channel")
 
     def setChannel(self, channel: int) -> None:
-        self._inbox.channel = int(channel)
+        self._channel = int(channel)
 
 
 class LED(Device):
@@ -329,30 +359,19 @@ class Display(Device):
     drawPixel = drawLine = drawRectangle = drawOval = drawPolygon = drawText = _draw
     fillRectangle = fillOval = fillPolygon = _draw
 
-    def getWidth(self) -> int:
-        return integer(self._spec.node, "width")
-
-    def getHeight(self) -> int:
-        return integer(self._spec.node, "height")
+    getWidth = returns_integer("width")
+    getHeight = returns_integer("height")
 
 
 class Speaker(Device):
     """A speaker that nobody hears: sounds have no effect, and end at once."""
 
-    def _sound(self, *_: Any, **__: Any) -> None:
-        """Do nothing."""
-
-    speak = stop = setEngine = setLanguage = _sound
-
     @staticmethod
-    def playSound(left: Any, right: Any, *_: Any, **__: Any) -> None:
+    def _sound(*_: Any, **__: Any) -> bool:
         """Do nothing."""
-
-    def isSoundPlaying(self, sound: str = "") -> bool:
         return False
 
-    def isSpeaking(self) -> bool:
-        return False
+    playSound = speak = stop = setEngine = setLanguage = isSoundPlaying = isSpeaking = _sound
 
 
 class Connector(Device):

@@ -22,6 +22,7 @@ from deepbots_webots.sensors import (
     NotImplementedCallError,
     Sensor,
     returns,
+    returns_count,
     returns_list,
     returns_number,
 )
@@ -150,8 +151,7 @@ class Camera(_Optics):
     getRecognitionSamplingPeriod = returns("_recognition._asked")
     getRecognitionObjects = returns_list("_recognition.objects")
 
-    def getRecognitionNumberOfObjects(self) -> int:
-        return len(self._recognition.objects)
+    getRecognitionNumberOfObjects = returns_count("_recognition.objects")
 
     def getMinFov(self) -> float:
         return self._fov if self._zoom is None else number(self._zoom, "minFieldOfView")
@@ -417,10 +417,11 @@ class Lidar(_HasRange):
         least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3)
         lengths = np.linalg.norm(rays, axis=1)
-        hits = self._simulation.physics.rays.distances(
+        hits = self._simulation.physics.rays.cast(
             start, rays / lengths[:, None] @ axes, most * float(lengths.max()), self._spec.body.robot
         )
-        distances = (hits / lengths).tolist()
+        met = np.array([distance if geom >= 0 else math.inf for distance, geom, _ in hits])
+        distances = (met / lengths).tolist()
         noise = number(self._spec.node, "noise") * most  # Webots states it as a share of maxRange
         now = self._simulation.time / 1000
         for number_, distance in enumerate(distances):
@@ -458,17 +459,13 @@ class Lidar(_HasRange):
             for distance, (x, y, z), time in points
         ]
 
-    def getNumberOfPoints(self) -> int:
-        return self._columns * self._layers
-
+    getNumberOfPoints = returns_count("_image")
     getHorizontalResolution = returns("_columns")
     getNumberOfLayers = returns("_layers")
     getFov = returns("_fov")
     getVerticalFov = returns("_high")
 
-    def getFrequency(self) -> float:
-        """Return the rotations of the head per second."""
-        return self._frequency
+    getFrequency = returns("_frequency")
 
     def setFrequency(self, frequency: float) -> None:
         low, high = self.getMinFrequency(), self.getMaxFrequency()

@@ -14,7 +14,7 @@ from deepbots_cli.frames import Frame, rotate_tensor, rotation_matrix
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, Inertial, Sphere, combined
 from deepbots_webots.nodes import boolean
 from deepbots_webots.scene import Body, Contact, Geometry, Joint, Scene
-from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose, inertial_of
+from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose
 
 Floats = NDArray[np.float64]
 
@@ -76,13 +76,11 @@ class ModelBuilder:
             self.joints[joint] = self._add_joint(element, joint, f"b{body.index}.{at}")
         for geometry in body.geometries:
             self._add_geometry(element, body, geometry)
-        weights = [geometry for geometry in body.geometries if geometry.mass]
         if body.inertias:
             # One inertia for all: fixed bodies for those that are stated would make contacts softer, the
             # farther from the origin of the world a body is.
-            own = [inertial_of(geometry.shape, geometry.mass, geometry.frame) for geometry in weights]
-            _set_inertia(element, combined([*own, *body.inertias]))
-        elif (body.joints or body.is_free) and not weights:
+            _set_inertia(element, combined([inertial for _, inertial in body.inertias]))
+        elif body.joints or body.is_free:
             _set_inertia(element, KINEMATIC)
             element.gravcomp = 1.0  # a solid without physics has no weight in Webots
 
@@ -111,7 +109,7 @@ class ModelBuilder:
         friction = self.scene.contact(geometry.material, geometry.material)
         added = element.add_geom(
             **geom_fields(self.spec, geometry.shape, geometry.frame, f"shape{len(self._geoms)}"),
-            mass=geometry.mass,
+            mass=0.0,
             friction=_friction(friction),
             condim=_condim(friction),
             solref=[self.contact_time, 1.0],

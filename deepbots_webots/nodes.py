@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from functools import cache, partial
 from importlib import resources
 from math import atan2, hypot
+from typing import NamedTuple
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics import Source
@@ -19,7 +20,6 @@ from deepbots_cli.records import dataclass
 from deepbots_webots.syntax import Node, Parameter, Value, WorldFindings, did_you_mean, parse_interface
 
 _ENTRY = re.compile(r"^(\w+)(?: : (\w+))? \{(.*?)\}$", re.MULTILINE | re.DOTALL)
-_SIZES = {"Vec2f": 2, "Vec3f": 3, "Rotation": 4, "Color": 3, "Float": 1, "Int32": 1}
 
 
 @dataclass(frozen=True)
@@ -77,8 +77,7 @@ def value_of(node: Node, field: str) -> Value:
 
 def number(node: Node, field: str) -> float:
     """Return a number; a wrong type has a finding already, and reads as 0."""
-    item = next(iter(value_of(node, field).items), 0.0)
-    return item if isinstance(item, float) else 0.0
+    return next(iter(numbers(node, field)), 0.0)
 
 
 def integer(node: Node, field: str) -> int:
@@ -90,8 +89,7 @@ def boolean(node: Node, field: str) -> bool:
 
 
 def text(node: Node, field: str) -> str:
-    item = next(iter(value_of(node, field).items), "")
-    return item if isinstance(item, str) else ""
+    return next(iter(texts(node, field)), "")
 
 
 def texts(node: Node, field: str) -> list[str]:
@@ -196,6 +194,8 @@ _SLOTS: Mapping[str, tuple[str, ...]] = {
     "device2": ("Motor", "PositionSensor", "Brake"),
     "device3": ("Motor", "PositionSensor", "Brake"),
     "endPoint": ("Solid", "SolidReference", "Slot", "Group"),
+    "fastHelix": ("Solid",),
+    "slowHelix": ("Solid",),
     "geometry": _GEOMETRIES,
     "boundingObject": (*_GEOMETRIES, "Shape", "Group"),
     "contactProperties": ("ContactProperties",),
@@ -234,47 +234,46 @@ def _slot_problem(name: str, value: Value) -> str:
     return ""
 
 
-def type_problem(kind: str, value: Value) -> str:
+class _Kind(NamedTuple):
+    """A kind of values: the Python types of its items, how many make a value, and its name in messages."""
+
+    types: frozenset[type]
+    size: int
+    single: str
+    several: str
+
+
+_BOOL, _TEXT, _NUMBER = frozenset({bool}), frozenset({str}), frozenset({float})
+_KINDS: Mapping[str, _Kind] = {
+    "Bool": _Kind(_BOOL, 1, "TRUE or FALSE", "of TRUE and FALSE"),
+    "String": _Kind(_TEXT, 1, "a text in quotes", "of texts in quotes"),
+    "Node": _Kind(frozenset({Node, type(None)}), 1, "a node", "of nodes"),
+    "Float": _Kind(_NUMBER, 1, "a number", "of numbers"),
+    "Int32": _Kind(_NUMBER, 1, "a whole number", "of whole numbers"),
+    "Vec2f": _Kind(_NUMBER, 2, "two numbers", "of pairs of numbers"),
+    "Vec3f": _Kind(_NUMBER, 3, "three numbers", "of numbers, three each"),
+    "Color": _Kind(_NUMBER, 3, "three numbers", "of numbers, three each"),
+    "Rotation": _Kind(_NUMBER, 4, "an axis and an angle", "of axes and angles"),
+}
+
+
+def size_of(field_type: str) -> int:
+    """Return how many items of a field of a type such as `MFVec3f` make a value."""
+    return _KINDS[field_type[2:]].size
+
+
+def type_problem(field_type: str, value: Value) -> str:
     """Return why a value is not of a type such as `SFVec3f`; "" if it is."""
-    base, several = kind[2:], kind[0] == "M"
+    kind, is_list, count = _KINDS[field_type[2:]], field_type[0] == "M", len(value.items)
+    described = f"a list {kind.several}" if is_list else kind.single
     if value.alias:
         return f"IS {value.alias[:60]}, outside of a PROTO"
-    if value.in_brackets and not several:
-        return f"a list, and not {_described(kind)}"
-    size = _SIZES.get(base)
-    if size is None:
-        return _other_problem(kind, value, several=several)
-    if not value.types <= {float}:
-        return f"not {_described(kind)}"
+    if value.in_brackets and not is_list:
+        return f"a list, and not {described}"
+    if not value.types <= kind.types or (is_list and type(None) in value.types):
+        return f"not {described}"
     if not value.is_finite:
         return "too large a number"
-    count = len(value.items)
-    if count % size or (not several and count != size):
-        return f"{count} number{'s' * (count != 1)}, and not {_described(kind)}"
+    if count % kind.size or not (is_list or count == kind.size):
+        return f"{count} number{'s' * (count != 1)}, and not {described}"
     return ""
-
-
-def _other_problem(kind: str, value: Value, *, several: bool) -> str:
-    kinds: dict[str, set[type]] = {
-        "Bool": {bool},
-        "String": {str},
-        "Node": {Node} if several else {Node, type(None)},
-    }
-    fits = value.types <= kinds.get(kind[2:], value.types) and (several or len(value.items) == 1)
-    return "" if fits else f"not {_described(kind)}"
-
-
-def _described(kind: str) -> str:
-    names = {
-        "Bool": ("TRUE or FALSE", "of TRUE and FALSE"),
-        "String": ("a text in quotes", "of texts in quotes"),
-        "Node": ("a node", "of nodes"),
-        "Float": ("a number", "of numbers"),
-        "Int32": ("a whole number", "of whole numbers"),
-        "Vec2f": ("two numbers", "of pairs of numbers"),
-        "Vec3f": ("three numbers", "of numbers, three each"),
-        "Color": ("three numbers", "of numbers, three each"),
-        "Rotation": ("an axis and an angle", "of axes and angles"),
-    }
-    single, many = names[kind[2:]]
-    return f"a list {many}" if kind[0] == "M" else single

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from math import ceil, inf, isinf
+from math import ceil, isinf
 from typing import Any
 
 import numpy as np
@@ -75,40 +75,19 @@ class Rays:
             groups[geoms] = saved
 
     def cast(
-        self, start: Triple, directions: Sequence[Triple], reach: float, robot: Robot | None = None
+        self, start: Triple, directions: Sequence[Triple] | Floats, reach: float, robot: Robot | None = None
     ) -> list[tuple[float, int, float]]:
         """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
         cosine of its incidence. The robot stops no ray."""
-        geom, normal = np.full(1, -1, np.int32), np.zeros(3)
-        results = []
-        origin = np.array(start)
+        rays, count = np.ascontiguousarray(directions, np.float64), len(directions)
+        geoms, lengths, normals = np.full(count, -1, np.int32), np.zeros(count), np.zeros(3 * count)
+        origin, seen, hits = np.array(start), (_GROUPS, True, -1), (geoms, lengths, normals)
         with self._without(robot):
-            for direction in directions:
-                ray = np.array(direction)
-                length = float(
-                    mj.mj_ray(self._model, self._data, origin, ray, _GROUPS, True, -1, geom, normal)
-                )
-                if length < 0 or length > reach:
-                    results.append((reach, -1, 1.0))
-                else:
-                    results.append((length, int(geom[0]), abs(float(normal @ ray))))
-        return results
-
-    def distances(
-        self, start: Triple, directions: Floats, reach: float, robot: Robot | None = None
-    ) -> list[float]:
-        """Return the distance along each of many rays from one point, m; infinite beyond `reach`. The
-        directions have the shape (rays, 3). For a single ray, `cast` takes a third of the time."""
-        count = len(directions)
-        geoms, lengths = np.full(count, -1, np.int32), np.zeros(count)
-        rays = np.ascontiguousarray(directions).ravel()
-        model, data = self._model, self._data
-        with self._without(robot):
-            mj.mj_multiRay(
-                model, data, np.array(start), rays, _GROUPS, True, -1, geoms, lengths, None, count, reach
-            )
-        is_missed = (lengths < 0) | (lengths > reach)
-        return np.where(is_missed, inf, lengths).tolist()  # type: ignore[no-any-return]
+            mj.mj_multiRay(self._model, self._data, origin, rays.ravel(), *seen, *hits, count, reach)
+        is_hit = (lengths >= 0) & (lengths <= reach)
+        cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
+        columns = np.where(is_hit, (lengths, geoms, cosines), [[reach], [-1], [1.0]])
+        return [(length, int(geom), cosine) for length, geom, cosine in columns.T.tolist()]
 
 
 MAX_TORQUE = 1e8

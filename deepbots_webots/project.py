@@ -20,7 +20,7 @@ import random
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -31,7 +31,7 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import check, node_types, type_problem
+from deepbots_webots.nodes import boolean, check, node_types, number, numbers, text, type_problem
 from deepbots_webots.syntax import (
     MAX_BYTES,
     MAX_NODES,
@@ -165,7 +165,7 @@ def world_of_source(source: Source, path: Path, files: Files) -> World:
     """
     findings = WorldFindings()
     document = parse(source)
-    Expander(files, findings).expand(document.nodes, Scope.of_document(document))
+    Expander(files, findings).expand(document.nodes, document)
     check(document.nodes, findings)
     return World(path, files, document.nodes, findings, Span(source, 0, 0))
 
@@ -277,43 +277,29 @@ class Equivalent(Proto):
 
     def text(self, node: Node) -> str:
         """Return the body for the values of a PROTO node."""
-        values = _Values(node, self.interface)
-        methods = (values.numbers, values.number, values.positive, values.is_true, values.word)
-        return self.template.render({method.__name__: method for method in methods})
+        readers = {
+            "number": number,
+            "is_true": boolean,
+            "word": text,
+            "numbers": _sizes,
+            "positive": _positive,
+        }
+        return self.template.render({name: partial(read, node) for name, read in readers.items()})
 
 
-class _Values:
-    """What a template reads: the values of a PROTO node, or the defaults of its interface."""
+def _sizes(node: Node, name: str) -> list[float]:
+    values = numbers(node, name)
+    is_written = node.has_old_axes and name in node.fields
+    # Before R2022a, the second of three sizes was upward.
+    is_turned = is_written and node.interface[name].type in ("SFVec2f", "SFVec3f")
+    return [values[-1], *values[:-1]] if is_turned else values
 
-    def __init__(self, node: Node, interface: Mapping[str, Parameter]) -> None:
-        self._node, self._interface = node, interface
 
-    def _items(self, name: str) -> list[Item]:
-        return self._node.fields.get(name, self._interface[name].default).items
-
-    def numbers(self, name: str) -> list[float]:
-        values = [item for item in self._items(name) if isinstance(item, float)]
-        has_old_axes = self._node.has_old_axes and name in self._node.fields
-        # Before R2022a, the second of three sizes was upward.
-        is_turned = has_old_axes and self._interface[name].type in ("SFVec2f", "SFVec3f")
-        return [values[-1], *values[:-1]] if is_turned else values
-
-    def number(self, name: str) -> float:
-        return self.numbers(name)[0]
-
-    def positive(self, name: str) -> list[float]:
-        """Return numbers; the default if one is not positive."""
-        values = self.numbers(name)
-        if all(0 < value < 1e4 for value in values):
-            return values
-        return [item for item in self._interface[name].default.items if isinstance(item, float)]
-
-    def is_true(self, name: str) -> bool:
-        return self._items(name)[:1] == [True]
-
-    def word(self, name: str) -> str:
-        item = next(iter(self._items(name)), "")
-        return item if isinstance(item, str) else ""
+def _positive(node: Node, name: str) -> list[float]:
+    """Return numbers; the default if one is not positive."""
+    values = _sizes(node, name)
+    is_positive = all(0 < value < 1e4 for value in values)
+    return values if is_positive else numbers(replace(node, fields={}), name)
 
 
 @cache
@@ -406,27 +392,6 @@ _MISSING_HELP = (
 )
 
 
-@dataclass(frozen=True)
-class Scope:
-    """The definitions and addresses of the file that a node is written in."""
-
-    protos: Mapping[str, Proto]
-    externs: Mapping[str, Extern]
-    source: Source
-
-    @classmethod
-    def of_document(cls, document: Document) -> Scope:
-        return cls(document.protos, {extern.name: extern for extern in document.externs}, document.source)
-
-    @classmethod
-    def of_proto(cls, proto: Proto) -> Scope:
-        return cls(
-            proto.neighbors,
-            {extern.name: extern for extern in proto.externs},
-            proto.source or proto.span.source,
-        )
-
-
 class Extent(NamedTuple):
     """The number of nodes that a node stands for, with itself, and of their levels."""
 
@@ -446,7 +411,7 @@ class Expander:
         self._extents: dict[Node, Extent] = {}
         self._library_bodies: dict[str, Node] = {}
 
-    def expand(self, nodes: list[Node], scope: Scope) -> int:
+    def expand(self, nodes: list[Node], scope: Document) -> int:
         """Expand nodes in place. Return the number of nodes that all of them stand for: a node counts as
         often as USE and IS repeat it.
 
@@ -460,7 +425,7 @@ class Expander:
         self._report()
         return count
 
-    def _expand(self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
+    def _expand(self, node: Node, scope: Document, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
         """Expand a node at a level of the world, in the bodies of PROTOs."""
         extent = self._extents.get(node)
         if extent is None:
@@ -470,7 +435,7 @@ class Expander:
         return extent
 
     def _expand_once(
-        self, node: Node, scope: Scope, slot: str, outer: tuple[Proto, ...], level: int
+        self, node: Node, scope: Document, slot: str, outer: tuple[Proto, ...], level: int
     ) -> Extent:
         inner = [
             self._expand(item, scope, name, outer, level)
@@ -490,14 +455,13 @@ class Expander:
                 node.body = self._body(node, proto)
                 if node.body is not None:
                     node.body.is_turned = node.has_old_axes and not node.body.has_old_axes
-                inside = Scope.of_proto(proto) if proto.source else scope
-                if node.body is not None:
+                    inside = proto.document or scope
                     inner = [self._expand(node.body, inside, slot, (*outer, proto), level)]
         return Extent(
             1 + sum(extent.nodes for extent in inner), 1 + max((extent.levels for extent in inner), default=0)
         )
 
-    def _proto(self, node: Node, scope: Scope, slot: str) -> Proto | None:
+    def _proto(self, node: Node, scope: Document, slot: str) -> Proto | None:
         """Return the definition of a node; a finding names one that is missing."""
         proto = scope.protos.get(node.type) or self._find(node.type, scope.externs.get(node.type), scope)
         if proto is not None:
@@ -525,14 +489,14 @@ class Expander:
                 hint = f"{did_you_mean(last, node_types())} {help}".strip()
                 self.findings.error(spans[last], text if others else f"PROTO {last} is {lack}", hint)
 
-    def _find(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
+    def _find(self, name: str, extern: Extern | None, scope: Document) -> Proto | None:
         key = extern.address if extern else name
         if key not in self._read:
             self._read[key] = None  # until it is read, so that a file that names itself ends
             self._read[key] = self._load(name, extern, scope)
         return self._read[key]
 
-    def _load(self, name: str, extern: Extern | None, scope: Scope) -> Proto | None:
+    def _load(self, name: str, extern: Extern | None, scope: Document) -> Proto | None:
         path = self.files.proto(name, extern.address if extern else "", scope.source.name)
         has_equivalent = name in equivalents()
         if has_equivalent and (path is None or not self.files.is_own(path)):

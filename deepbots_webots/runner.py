@@ -60,13 +60,13 @@ class Controller:
     robot: Robot
     program: Path
     arguments: list[str]
+    folder: str
+    path: list[str]
+    modules: dict[str, types.ModuleType]
     due: int = 0
     turn: threading.Lock = field(default_factory=threading.Lock)
     thread: threading.Thread | None = None
-    modules: dict[str, types.ModuleType] = field(default_factory=dict)
     private: set[str] = field(default_factory=set)
-    path: list[str] = field(default_factory=list)
-    folder: str = ""
     has_ended: bool = False
     steps: int = 0
     steps_after_end: int = 0
@@ -142,11 +142,15 @@ class Runner:
 
     def _add(self, robot: Robot, program: Path | None) -> None:
         if program is not None:
-            controller = Controller(robot, program, texts(robot.node, "controllerArgs"))
-            controller.folder = str(program.parent)
-            controller.path = [controller.folder, *self._path]
-            controller.modules["__main__"] = types.ModuleType("__main__")
-            self._by_robot[robot] = controller
+            folder = str(program.parent)
+            controller = self._by_robot[robot] = Controller(
+                robot,
+                program,
+                texts(robot.node, "controllerArgs"),
+                folder,
+                [folder, *self._path],
+                {"__main__": types.ModuleType("__main__")},
+            )
             self.controllers.append(controller)
 
     # The main thread
@@ -163,18 +167,14 @@ class Runner:
         simulation.on_change.append(self._start_new)
         try:
             with self._surroundings():
-                self._begin()
+                for controller in self.controllers:
+                    self._start(controller)
+                self._give_turn(self.controllers[0])
                 self._watch()
         finally:  # also if the person at the keyboard ends the run
             self.is_over = True
             supervisor.deactivate()
         return self._outcome()
-
-    def _begin(self) -> None:
-        """Start a thread for each controller, and let the first one run."""
-        for controller in self.controllers:
-            self._start(controller)
-        self._give_turn(self.controllers[0])
 
     def _start(self, controller: Controller) -> None:
         # Locked before the thread starts, so that the thread waits until it gets the turn.
@@ -226,9 +226,8 @@ class Runner:
         path, argv, folder = sys.path[:], sys.argv, os.getcwd()
         stdout, stderr = sys.stdout, sys.stderr
         main, modules_before = sys.modules.get("__main__"), set(sys.modules)
-        finder = _ProjectFinder(self)
         # Python searches the folder of a program first, so modules of the project hide installed ones.
-        sys.meta_path.insert(0, finder)
+        sys.meta_path.insert(0, self)
         targets = (self._output, self._errors)
         streams = tuple(_Prefixed(target, self._speaker, self._on_line) for target in targets)
         sys.stdout, sys.stderr = streams
@@ -242,7 +241,7 @@ class Runner:
             for stream in streams:
                 stream.close()
             signal.signal = register
-            sys.meta_path.remove(finder)
+            sys.meta_path.remove(self)
             sys.path[:], sys.argv = path, argv
             os.chdir(folder)
             sys.stdout, sys.stderr = stdout, stderr
@@ -379,18 +378,17 @@ class Runner:
         if not controller.has_ended:
             controller.folder = os.getcwd()
 
-    def is_private(self, name: str) -> bool:
-        """Return whether a module belongs to the controller that runs."""
-        return self._current is not None and name in self._current.private
-
-    def find_private(self, name: str) -> ModuleSpec | None:
-        """Return a module of the folder of the controller that runs."""
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: types.ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Find a module in the folder of the controller that runs, and record whose it is."""
         controller = self._current
         # Threads of the page and of videos import too, while a controller has the turn.
         if controller is None or threading.current_thread() is not controller.thread:
             return None
-        spec = importlib.machinery.PathFinder.find_spec(name, [str(controller.program.parent)])
-        if spec is not None:
+        folders = [str(controller.program.parent)]
+        spec = importlib.machinery.PathFinder.find_spec(name, folders) if path is None else None
+        if spec is not None or name.partition(".")[0] in controller.private:
             controller.private.add(name)
         return spec
 
@@ -402,22 +400,6 @@ def _ignore_signal(number: int, _: object) -> object:
         f"Warning: signal.signal({name}, ...) has no effect: deepbots receives all signals", file=sys.stderr
     )
     return signal.getsignal(number)
-
-
-class _ProjectFinder:
-    """Finds modules of the folders of controllers, and records whose they are."""
-
-    def __init__(self, runner: Runner) -> None:
-        self._runner = runner
-
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: types.ModuleType | None = None
-    ) -> ModuleSpec | None:
-        if path is None:
-            return self._runner.find_private(name)
-        if self._runner.is_private(name.partition(".")[0]) and self._runner._current is not None:
-            self._runner._current.private.add(name)
-        return None
 
 
 class _Prefixed:

@@ -28,6 +28,7 @@ from deepbots_webots.nodes import (
     is_a,
     number,
     numbers,
+    parameters,
     real,
     rotation,
     text,
@@ -37,8 +38,18 @@ from deepbots_webots.nodes import (
     walk,
 )
 from deepbots_webots.project import Files, World
-from deepbots_webots.shapes import Grid, Mesh, Shape, compose, inertial_of, pose_of, shape_of, volume_of
-from deepbots_webots.syntax import Node, WorldError, WorldFindings
+from deepbots_webots.shapes import (
+    Grid,
+    Mesh,
+    Shape,
+    base_color,
+    compose,
+    inertial_of,
+    pose_of,
+    shape_of,
+    volume_of,
+)
+from deepbots_webots.syntax import Item, Node, Value, WorldError, WorldFindings
 
 ORIGIN: Frame = ((0.0, 0.0, 0.0), IDENTITY_ROTATION)
 AXES: tuple[Triple, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -82,13 +93,12 @@ DEVICES = frozenset(
 
 @dataclass(eq=False)
 class Geometry:
-    """A shape of a bounding object: its frame in the body, the material, and the mass it adds (kg)."""
+    """A shape of a bounding object: its frame in the body, its material and its solid."""
 
     shape: Shape
     frame: Frame
     material: str
     owner: Node
-    mass: float = 0.0
     reflection: float = 0.6  # the share of infra-red light that it reflects
 
 
@@ -145,7 +155,8 @@ class Loop(NamedTuple):
 
 @dataclass(eq=False)
 class Body:
-    """A body: its frame in its parent, or in the world; its joints, geometries and stated inertias.
+    """A body: its frame in its parent, or in the world; its joints, its geometries, and the inertias of its
+    solids.
 
     `is_free` says that it moves without a joint. Velocities are those at the start: m/s and rad/s. `damping`
     has the shares of its linear and its angular velocity that it loses per s.
@@ -157,10 +168,9 @@ class Body:
     frame: Frame
     robot: Robot | None
     is_free: bool = False
-    is_dynamic: bool = False
     joints: list[Joint] = field(default_factory=list)
     geometries: list[Geometry] = field(default_factory=list)
-    inertias: list[Inertial] = field(default_factory=list)
+    inertias: list[tuple[Node, Inertial]] = field(default_factory=list)
     damping: tuple[float, float] = (0.0, 0.0)
     velocity: tuple[Triple, Triple] = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
@@ -213,14 +223,14 @@ class Contact:
 class Scene:
     """The bodies, robots and settings of a world.
 
-    `nodes` are the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
+    `root` is a group with the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
     `gravity` in m/s^2, and `damping` is that of bodies without their own. `directions` are those to the east,
     north and up. `attachments` maps each node with a pose to its body and its frame in the body, and
     `outer_frames` nodes with a pose outside of bodies to their frame in the world. `parents` maps each node to
     the node above it.
     """
 
-    nodes: list[Node]
+    root: Node
     files: Files
     basic_step: int = 32
     directions: tuple[Triple, ...] = AXES
@@ -238,6 +248,15 @@ class Scene:
     lights: list[Visual] = field(default_factory=list)
     propellers: list[Propeller] = field(default_factory=list)
     loops: list[Loop] = field(default_factory=list)
+
+    @property
+    def nodes(self) -> list[Node]:
+        """The top nodes."""
+        return children(self.root)
+
+    @property
+    def joints(self) -> list[Joint]:
+        return [joint for body in self.bodies for joint in body.joints]
 
     def contact(self, first: str, second: str) -> Contact:
         """Return how two materials touch."""
@@ -275,13 +294,14 @@ def build_scene(world: World) -> Scene:
         WorldError: The world has errors already, or is too large.
     """
     world.findings.require_none()
-    scene = Scene(world.nodes, world.files)
+    top: list[Item] = [*world.nodes]
+    root = Node("Group", world.span, fields={"children": Value(world.span, top)})
+    scene = Scene(root, world.files)
     builder = _Builder(scene, world.files, world.findings)
     for node in world.nodes:
         if real(node).type == "WorldInfo":
             builder.read_world_info(real(node))
-    for node in world.nodes:
-        builder.add(node, _Site(None, ORIGIN, UNIT, None))
+    builder.add(root, _Site(None, ORIGIN, UNIT, None))
     builder.close_loops()
     return scene
 
@@ -293,8 +313,8 @@ def solid_of_name(scene: Scene, name: str) -> Node | None:
     return next((node for node in solids if name and text(node, "name") == name), None)
 
 
-def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], outer: Node | None) -> None:
-    """Add nodes to a scene, in a node or at the top of the world.
+def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], outer: Node) -> None:
+    """Add nodes to a scene, in a node.
 
     Raises:
         WorldError: The nodes have errors, or the world is too large; the scene has a part of them.
@@ -302,8 +322,7 @@ def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], oute
     builder = _Builder(scene, scene.files, findings)
     body, frame = scene.around(outer)
     for node in nodes:
-        if outer is not None:
-            builder._link(node, outer)
+        builder._link(node, outer)
         builder.add(node, _Site(body, frame, UNIT, None if body is None else body.robot, outer))
     builder.close_loops()
     findings.require_none()
@@ -457,7 +476,6 @@ class _Builder:
         if body is None:
             body = self._body(node, None, frame, robot)
             body.is_free = child(node, "physics") is not None
-            body.is_dynamic = body.is_free
             frame = ORIGIN
         self._fill(node, body, _Site(body, frame, scale, robot, node, site.is_turned))
 
@@ -530,12 +548,11 @@ class _Builder:
                 raise _too_many(node, f"{MAX_POINTS:,} points of meshes and grids")
             material = text(owner, "contactMaterial")
             reflection = _reflection(owner)
-            body.geometries.append(Geometry(shape, frame, material, owner, 0.0, reflection))
+            body.geometries.append(Geometry(shape, frame, material, owner, reflection))
 
     def _add_mass(
         self, node: Node, physics: Node, body: Body, frame: Frame, geometries: list[Geometry]
     ) -> None:
-        body.is_dynamic = body.is_dynamic or bool(body.joints)
         body.damping = _damping(physics, "damping") or self.scene.damping
         density, mass = number(physics, "density"), number(physics, "mass")
         volume = sum(volume_of(geometry.shape) for geometry in geometries)
@@ -548,11 +565,6 @@ class _Builder:
             mass = 1.0
             self.findings.warning(physics.span, f"'{text(node, 'name')}' has no volume; its mass is 1 kg")
         centers, matrix = vectors(physics, "centerOfMass"), numbers(physics, "inertiaMatrix")
-        shares = [mass * volume_of(geometry.shape) / volume if volume > 0 else 0.0 for geometry in geometries]
-        if len(matrix) != 6 and volume > 0 and not centers:
-            for geometry, share in zip(geometries, shares, strict=True):
-                geometry.mass = share
-            return
         center = pose_of(compose(frame, (centers[0] if centers else (0.0, 0.0, 0.0), IDENTITY_ROTATION)))
         if len(matrix) == 6:
             if not _is_inertia(matrix):
@@ -561,18 +573,19 @@ class _Builder:
             xx, yy, zz, xy, xz, yz = matrix
             inertial = Inertial(mass, center, xx, xy, xz, yy, yz, zz)
         elif volume > 0:  # the inertia of the bounding object, about the center that the file states
-            inertial = combined(
-                [
-                    inertial_of(geometry.shape, share, geometry.frame)
-                    for geometry, share in zip(geometries, shares, strict=True)
-                    if share > 0
-                ]
-            )
-            inertial = replace(inertial, origin=Pose(center.xyz, inertial.origin.rpy))
+            volumes = [(geometry, volume_of(geometry.shape)) for geometry in geometries]
+            parts = [
+                inertial_of(geometry.shape, mass * own / volume, geometry.frame)
+                for geometry, own in volumes
+                if own > 0
+            ]
+            inertial = combined(parts)
+            if centers:
+                inertial = replace(inertial, origin=Pose(center.xyz, inertial.origin.rpy))
         else:
             moment = 0.4 * mass * 0.1**2  # a ball of 0.1 m stands for a solid without an outline
             inertial = Inertial(mass, center, ixx=moment, iyy=moment, izz=moment)
-        body.inertias.append(inertial)
+        body.inertias.append((node, inertial))
 
     # Joints and devices
 
@@ -586,20 +599,17 @@ class _Builder:
             self._link(inner, end)
             end = inner
         node_as_written, end = end, real(end)
-        if end.type == "SolidReference":
-            body = self._body(end, site.body, site.frame, site.robot)
-            self._open_loops.append(body)
-            self._add_axes(node, body, site)
-            self._add_joint_devices(node, body, site.robot)
-            return
-        if not is_a(end, "Solid"):
+        closes_loop = end.type == "SolidReference"
+        if not (closes_loop or is_a(end, "Solid")):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
-        frame = compose(site.frame, _frame_of(end), site.scale)
+        frame = site.frame if closes_loop else compose(site.frame, _frame_of(end), site.scale)
         body = self._body(end, site.body, frame, site.robot)
-        body.is_dynamic = child(end, "physics") is not None
         self._add_axes(node, body, site)
         self._add_joint_devices(node, body, site.robot)
+        if closes_loop:
+            self._open_loops.append(body)
+            return
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.is_turned))
@@ -623,13 +633,16 @@ class _Builder:
             self.findings.warning(node.span, "a Propeller outside of a solid")
             return
         center = compose(site.frame, (vector(node, "centerOfThrust"), IDENTITY_ROTATION), site.scale)[0]
-        axis, motor = vector(node, "shaftAxis"), child(node, "device")
+        axis = vector(node, "shaftAxis")
         shaft = frames.rotate(site.frame[1], frames.scaled(axis, 1 / (hypot(*axis) or 1.0)))
-        joint = Joint("hinge", shaft, center, node=node, motor=motor)
+        joint = Joint("hinge", shaft, center, node=node)
         self.scene.propellers.append(Propeller(site.body, joint))
         for device in children(node, "device"):
             self._link(device, node)
-            self._add_device(real(device), site.body, ORIGIN, site.robot, joint)
+            if is_a(device, "Motor"):
+                self._add_joint_device(real(device), site.body, site.robot, joint)
+            else:
+                self.findings.error(device.span, f"a {real(device).type} does not turn a Propeller")
         for helix in children(node, "slowHelix") or children(node, "fastHelix"):
             self._link(helix, node)
             self._add_children(real(helix), site.inside(real(helix), _frame_of(real(helix))))
@@ -641,14 +654,14 @@ class _Builder:
         anchor = (0.0, 0.0, 0.0) if slides or first is None else _vector_or(first, "anchor", (0.0, 0.0, 0.0))
         in_parent = compose(site.frame, (anchor, IDENTITY_ROTATION), site.scale)[0]
         anchor = frames.rotate(inverse, frames.subtract(in_parent, position))
-        for index, (kind, parameters, springs, axis) in enumerate(_axes(node, first)):
+        for index, (kind, stops, springs, axis) in enumerate(_axes(node, first)):
             length = hypot(*axis)
             if length < 1e-9:
                 self.findings.error(node.span, f"the axis of a {node.type} is zero")
                 continue
             unit = (axis[0] / length, axis[1] / length, axis[2] / length)
             direction = frames.rotate(inverse, frames.rotate(site.frame[1], unit))
-            joint = Joint(kind, direction, anchor, node=node, parameters=parameters, index=index)
+            joint = Joint(kind, direction, anchor, node=node, parameters=stops, index=index)
             self._read_axis(joint, springs)
             body.joints.append(joint)
 
@@ -673,13 +686,15 @@ class _Builder:
         for joint in body.joints:
             for device in children(node, _DEVICE_SLOTS[joint.index]):
                 self._link(device, node)
-                device = real(device)
-                if device.type not in ("RotationalMotor", "LinearMotor", "PositionSensor", "Brake"):
-                    self.findings.error(device.span, f"{device.type} is not a device of a joint")
-                    continue
-                if device.type.endswith("Motor"):
-                    joint.motor = device
-                self._add_device(device, body, ORIGIN, robot, joint)
+                self._add_joint_device(real(device), body, robot, joint)
+
+    def _add_joint_device(self, device: Node, body: Body, robot: Robot | None, joint: Joint) -> None:
+        if is_a(device, "Motor"):
+            if joint.motor is not None:
+                self.findings.warning(device.span, "an axis with two motors; the first one is used")
+                return
+            joint.motor = device
+        self._add_device(device, body, ORIGIN, robot, joint)
 
     def _add_device(
         self, node: Node, body: Body, frame: Frame, robot: Robot | None, joint: Joint | None = None
@@ -790,10 +805,7 @@ def _perpendicular(axis: Triple, direction: Triple, otherwise: Triple) -> Triple
 
 
 def _vector_or(node: Node, name: str, default: Triple) -> Triple:
-    try:
-        return vector(node, name)
-    except KeyError:
-        return default
+    return vector(node, name) if name in parameters(node) else default
 
 
 def _is_inertia(matrix: list[float]) -> bool:
@@ -808,15 +820,9 @@ def _reflection(owner: Node) -> float:
 
     The formula is that of the reference of DistanceSensor: 0.2 + 0.8 * red * (1 - roughness / 2).
     """
-    for node in children(owner):
-        node = real(node)
-        appearance = child(node, "appearance") if node.type == "Shape" else None
-        if appearance is None:
-            continue
-        if appearance.type == "PBRAppearance":
-            red = vector(appearance, "baseColor")[0]
-            return 0.2 + 0.8 * red * (1 - 0.5 * number(appearance, "roughness"))
-        material = child(appearance, "material") if appearance.type == "Appearance" else None
-        if material is not None and material.type == "Material":
-            return 0.2 + 0.8 * vector(material, "diffuseColor")[0]
-    return 1.0
+    shapes = (real(node) for node in children(owner) if real(node).type == "Shape")
+    appearance = next((each for each in (child(shape, "appearance") for shape in shapes) if each), None)
+    if appearance is None:
+        return 1.0
+    roughness = number(appearance, "roughness") if appearance.type == "PBRAppearance" else 0.0
+    return 0.2 + 0.8 * base_color(appearance)[0] * (1 - 0.5 * roughness)

@@ -25,7 +25,7 @@ from deepbots_webots.scene import Device as Spec
 from deepbots_webots.shapes import compose
 
 if TYPE_CHECKING:
-    from deepbots_webots.simulation import Simulation
+    from deepbots_webots.simulation import Packet, Simulation
     from deepbots_webots.syntax import Node
 
 
@@ -99,6 +99,17 @@ def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
     """Return a method that returns a list of the items of an attribute."""
     read = attrgetter(attribute)
     return lambda instance: list(read(instance))
+
+
+def returns_count(attribute: str) -> Callable[[Any], int]:
+    """Return a method that returns the number of items of an attribute."""
+    read = attrgetter(attribute)
+    return lambda instance: len(read(instance))
+
+
+def returns_integer(field: str) -> Callable[[Any], int]:
+    """Return a method of a device that returns a whole number of its node."""
+    return lambda device: integer(device._spec.node, field)
 
 
 def returns_number(field: str) -> Callable[[Any], float]:
@@ -182,6 +193,9 @@ class Sampled:
     @abstractmethod
     def sample(self) -> None:
         """Measure."""
+
+    def hear(self, packet: Packet) -> None:
+        """Take a message that is sent."""
 
     def forget(self) -> None:
         """Discard the state from before a reset of the world."""

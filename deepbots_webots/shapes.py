@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from io import BytesIO
-from math import isfinite, pi
+from math import isfinite
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +28,7 @@ from deepbots_cli.robots.model import (
     homogeneous_inertial,
     volume,
 )
-from deepbots_webots.nodes import child, integer, is_a, number, numbers, real, texts, vector, vectors
+from deepbots_webots.nodes import child, integer, number, numbers, real, texts, vector, vectors
 from deepbots_webots.syntax import Node, WorldFindings
 
 if TYPE_CHECKING:
@@ -367,30 +367,26 @@ def visible_shape(visual: Visual, files: Files) -> Shape | None:
 
 def _cone(radius: float, height: float, scale: Triple) -> Shape:
     """Return a cone around z, with its base at the bottom."""
-    angles = 2 * pi * np.arange(CONE_SIDES) / CONE_SIDES
-    rim = np.stack(
-        [radius * np.cos(angles), radius * np.sin(angles), np.full(CONE_SIDES, -height / 2)], axis=1
-    )
-    points = np.concatenate([rim, [(0.0, 0.0, height / 2), (0.0, 0.0, -height / 2)]])
-    side, base, tip = (
-        np.arange(CONE_SIDES),
-        np.full(CONE_SIDES, CONE_SIDES + 1),
-        np.full(CONE_SIDES, CONE_SIDES),
-    )
-    after = (side + 1) % CONE_SIDES
-    faces = np.concatenate([np.stack([side, after, tip], axis=1), np.stack([after, side, base], axis=1)])
-    return Mesh(points * scale, faces.astype(np.int32))
+    import trimesh
+
+    cone = trimesh.creation.cone(radius, height, sections=CONE_SIDES)
+    return Mesh((cone.vertices - (0.0, 0.0, height / 2)) * scale, cone.faces.astype(np.int32))
+
+
+Color = tuple[float, float, float, float]
+"""Red, green, blue and opacity, from 0 to 1."""
+GRAY: Color = (0.8, 0.8, 0.8, 1.0)
 
 
 @dataclass(frozen=True)
 class Look:
-    """The color (red, green, blue, opacity, from 0 to 1) of a Shape node below its texture."""
+    """The color of a Shape node below its texture."""
 
-    base: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    base: Color = GRAY
     texture: Texture | None = None
 
     @property
-    def color(self) -> tuple[float, float, float, float]:
+    def color(self) -> Color:
         """The color and opacity, with the mean color of the texture."""
         if self.texture is None:
             return self.base
@@ -405,17 +401,17 @@ def look_of(node: Node, files: Files) -> Look:
     appearance = child(node, "appearance")
     if appearance is None:
         return Look()
-    if is_a(appearance, "PBRAppearance"):
-        return _look(appearance, "baseColor", texture_of(appearance, "baseColorMap", files))
-    if not is_a(appearance, "Appearance"):
-        return Look()
-    texture = texture_of(appearance, "texture", files)
-    material = child(appearance, "material")
-    return _look(material, "diffuseColor", texture) if material is not None else Look(texture=texture)
+    field = "baseColorMap" if appearance.type == "PBRAppearance" else "texture"
+    return Look(base_color(appearance), texture_of(appearance, field, files))
 
 
-def _look(node: Node, field: str, texture: Texture | None) -> Look:
-    return Look((*vector(node, field), 1.0 - number(node, "transparency")), texture)
+def base_color(appearance: Node) -> Color:
+    """Return the color of an appearance below its texture."""
+    is_pbr = appearance.type == "PBRAppearance"
+    colored = appearance if is_pbr else child(appearance, "material")
+    if colored is None:
+        return GRAY
+    return *vector(colored, "baseColor" if is_pbr else "diffuseColor"), 1.0 - number(colored, "transparency")
 
 
 def sky_color(nodes: Sequence[Node]) -> Triple | None:

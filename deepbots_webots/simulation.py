@@ -14,17 +14,15 @@ from __future__ import annotations
 import random
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from functools import cached_property
-from math import cos, hypot, inf, pi
+from math import hypot, inf
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import integer, number, text
+from deepbots_webots.nodes import text
 from deepbots_webots.physics import Physics
 from deepbots_webots.sensors import Device as DeviceObject
 from deepbots_webots.sensors import Sampled
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
     from deepbots_cli.frames import Quaternion, Triple
     from deepbots_webots.rendering import Pictures
     from deepbots_webots.scene import Device, Robot, Scene
+    from deepbots_webots.syntax import Node
 
 
 @dataclass(eq=False)
@@ -68,19 +67,6 @@ class Packet:
         return frames.rotate_back(self.rotation, frames.scaled(self.offset, 1 / length))
 
 
-class Inbox:
-    """The messages of a receiver: those that arrived, and those that its controller sees."""
-
-    def __init__(self, device: Device) -> None:
-        self.device = device
-        self.channel = integer(device.node, "channel")
-        self.is_enabled = False
-        self.arrived: list[Packet] = []
-        self.queue: deque[Packet] = deque()
-        self.is_infra_red = text(device.node, "type") == "infra-red"
-        self.noise = number(device.node, "signalStrengthNoise")
-
-
 class Simulation:
     """A world that runs. Times are in ms."""
 
@@ -100,8 +86,7 @@ class Simulation:
         self.current: Robot | None = None
         """The robot whose controller runs now."""
         self.quit_status: int | None = None
-        self.inboxes: dict[Device, Inbox] = {}
-        self.custom_data: dict[Robot, str] = {}
+        self.custom_data: dict[Node, str] = {}
         self.physics_seconds = 0.0
         """The CPU time that the physics took."""
         self.wait: Callable[[Robot, int], int] = self._advance_alone
@@ -114,17 +99,14 @@ class Simulation:
         """Returns the codes of the keys that a person holds, the newest first; None without a page."""
         self._outbox: list[Packet] = []
         self._sensors: list[Sampled] = []
-        self._reset_is_due = False
+        self.reset_is_due = False
+        """Whether the world is reset at the end of the next basic time step."""
         self.on_change: list[Callable[[], None]] = []
         """Called after nodes came or went."""
-        self._prepare(scene.robots)
+        self._begin(scene.robots)
 
-    def _prepare(self, robots: Iterable[Robot]) -> None:
-        for robot in robots:
-            self.custom_data[robot] = text(robot.node, "customData")
-            for device in robot.devices.values():
-                if device.type == "Receiver":
-                    self.inboxes[device] = Inbox(device)
+    def _begin(self, robots: Iterable[Robot]) -> None:
+        self.custom_data |= {robot.node: text(robot.node, "customData") for robot in robots}
 
     def change(self, change: Callable[[], None]) -> None:
         """Let a function change the nodes of the world; forgets saved states.
@@ -141,8 +123,7 @@ class Simulation:
             for sensor in self._sensors
             if not isinstance(sensor, DeviceObject) or sensor._spec in devices
         ]
-        self.inboxes = {device: inbox for device, inbox in self.inboxes.items() if device in devices}
-        self._prepare(robot for robot in now if robot not in before)
+        self._begin(robot for robot in now if robot not in before)
         self.states.clear()
         self.__dict__.pop("pictures", None)
         for call in self.on_change:
@@ -159,11 +140,12 @@ class Simulation:
         self.physics_seconds += time.thread_time() - started
         self.ticks += self.basic_step
         self.time += self.basic_step
-        if self._reset_is_due:
+        if self.reset_is_due:
             self._reset()
         else:
             for packet in outbox:
-                self._deliver(packet)
+                for sensor in self._sensors:
+                    sensor.hear(packet)
         for sensor in self._sensors:
             if sensor.due <= self.ticks:
                 sensor.due += sensor.period
@@ -181,22 +163,15 @@ class Simulation:
             self.run_step()
         return 0
 
-    def ask_for_reset(self) -> None:
-        """Reset the world at the end of the next basic time step."""
-        self._reset_is_due = True
-
     def _reset(self) -> None:
-        self._reset_is_due = False
+        self.reset_is_due = False
         self.physics.reset()
         self.time = 0
         self._outbox.clear()
-        for robot in self.scene.robots:
-            self.custom_data[robot] = text(robot.node, "customData")
-        for inbox in self.inboxes.values():
-            inbox.arrived.clear()
-            inbox.queue.clear()
-        for sensor in self._sensors:
-            sensor.forget()
+        self._begin(self.scene.robots)
+        for sensor in (*self._sensors, *self.objects.values()):
+            if isinstance(sensor, Sampled):
+                sensor.forget()
 
     # Sensors
 
@@ -218,46 +193,6 @@ class Simulation:
     def send(self, emitter: Device, data: bytes, channel: int, reach: float) -> None:
         """Send a message in the next basic time step; `reach` is in m, negative without a limit."""
         self._outbox.append(Packet(data, emitter, channel, reach))
-
-    def _deliver(self, packet: Packet) -> None:
-        sender, physics = packet.emitter, self.physics
-        robot, infra_red = sender.body.robot, text(sender.node, "type") == "infra-red"
-        start = physics.position(sender.body, sender.frame)
-        for device, inbox in self.inboxes.items():
-            fits = packet.channel in (-1, inbox.channel) or inbox.channel == -1
-            if not (fits and inbox.is_enabled) or device.body.robot is robot:
-                continue
-            if inbox.is_infra_red != infra_red or (infra_red and not self._sees(sender, device)):
-                continue
-            position, rotation = physics.frame(device.body, device.frame)
-            arrived = replace(packet, offset=frames.subtract(start, position), rotation=rotation)
-            if 0 <= packet.range < arrived.distance:
-                continue
-            if inbox.noise:
-                arrived.noise = 1 + self.random.gauss(0.0, inbox.noise)
-            inbox.arrived.append(arrived)
-
-    def _sees(self, sender: Device, receiver: Device) -> bool:
-        """Return whether infra-red light of an emitter reaches a receiver: within both cones, and past
-        obstacles."""
-        start, sent = self.physics.frame(sender.body, sender.frame)
-        end, received = self.physics.frame(receiver.body, receiver.frame)
-        offset = frames.subtract(end, start)
-        distance = frames.dot(offset, offset) ** 0.5
-        if distance == 0:
-            return True
-        unit = frames.scaled(offset, 1 / distance)
-        for device, rotation, direction in (
-            (sender, sent, unit),
-            (receiver, received, frames.scaled(unit, -1.0)),
-        ):
-            aperture = number(device.node, "aperture")
-            along = frames.rotate_back(rotation, direction)[0]
-            if aperture >= 0 and along < cos(min(aperture / 2, pi)):
-                return False
-        hit = self.physics.rays.cast(start, [unit], distance, sender.body.robot)[0]
-        # The ray may end at the robot that carries the receiver, which hides nothing.
-        return hit[1] < 0 or self.physics.geoms[hit[1]][0].robot is receiver.body.robot
 
 
 # Pace: as fast as it can, at the pace of a clock, or by single steps

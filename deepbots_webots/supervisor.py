@@ -79,10 +79,10 @@ class Robot:
         return " ".join(texts(self._webots_robot.node, "controllerArgs"))
 
     def getCustomData(self) -> str:
-        return self._webots_simulation.custom_data[self._webots_robot]
+        return self._webots_simulation.custom_data[self._webots_robot.node]
 
     def setCustomData(self, customData: str) -> None:
-        self._webots_simulation.custom_data[self._webots_robot] = str(customData)
+        self._webots_simulation.custom_data[self._webots_robot.node] = str(customData)
 
     getData, setData = getCustomData, setCustomData
 
@@ -148,8 +148,7 @@ class Supervisor(Robot):
             )
 
     def getRoot(self) -> Node:
-        root = Written("Group", self._webots_robot.node.span)
-        return Node(self._webots_simulation, root, root_of=self._webots_simulation.scene.nodes)
+        return Node(self._webots_simulation, self._webots_simulation.scene.root)
 
     def getSelf(self) -> Node:
         return Node(self._webots_simulation, self._webots_robot.written)
@@ -184,7 +183,7 @@ class Supervisor(Robot):
 
     def simulationReset(self) -> None:
         """Bring the world back to its start, at the end of the next step."""
-        self._webots_simulation.ask_for_reset()
+        self._webots_simulation.reset_is_due = True
 
     def simulationResetPhysics(self) -> None:
         """Set all velocities to 0."""

@@ -219,9 +219,7 @@ class Proto:
     interface: dict[str, Parameter]
     body: list[Node]
     is_template: bool = False
-    source: Source | None = None
-    externs: list[Extern] = field(default_factory=list)
-    neighbors: Mapping[str, Proto] = field(default_factory=dict)  # the definitions in the same file
+    document: Document | None = None  # the file; None for an equivalent
 
 
 class Extern(NamedTuple):
@@ -241,9 +239,9 @@ class Document:
     """The contents of one file."""
 
     source: Source
-    externs: list[Extern]
-    protos: dict[str, Proto]
-    nodes: list[Node]
+    externs: dict[str, Extern] = field(default_factory=dict)
+    protos: dict[str, Proto] = field(default_factory=dict)
+    nodes: list[Node] = field(default_factory=list)
 
 
 def parse(source: Source, *, is_proto: bool = False) -> Document:
@@ -325,24 +323,23 @@ class _Parser:
 
     def document(self, *, is_proto: bool) -> Document:
         self.read_header(is_proto=is_proto)
-        document = Document(self.source, [], {}, [])
+        document = Document(self.source)
         while self.token.kind:
             text = self.token.text
             if text == "IMPORTABLE":
                 self.take()
             elif text == "EXTERNPROTO":
-                document.externs.append(self.extern())
+                extern = self.extern()
+                document.externs[extern.name] = extern
             elif text == "PROTO":
                 proto = self.proto(may_be_template=is_proto)
-                document.protos[proto.name] = proto
+                proto.document, document.protos[proto.name] = document, proto
                 if is_proto:
                     break  # Webots reads the first PROTO of a file
             else:
                 document.nodes.append(self.node_or_use())
         if is_proto and not document.protos:
             raise self._error(_START, "a file without a PROTO")
-        for proto in document.protos.values():
-            proto.externs, proto.neighbors = document.externs, document.protos
         return document
 
     def read_header(self, *, is_proto: bool) -> None:
@@ -380,7 +377,7 @@ class _Parser:
         interface = self.interface(end="]")
         if self.token.text != "{":
             raise self._unexpected("'{'")
-        proto = Proto(name.text, self._span(name), interface, [], source=self.source)
+        proto = Proto(name.text, self._span(name), interface, [])
         if self.last_statement > self.token.start:
             if not may_be_template:
                 raise self._error(name, f"PROTO {name.text} is {TEMPLATE}", TEMPLATE_HELP)
@@ -482,8 +479,7 @@ class _Parser:
             self.take()
             value.alias = self.word("the name of a field of the PROTO").text
         elif first.kind == 3:
-            while self.token.kind == 3:
-                value.items.append(float(self.take().text))
+            value.items += self.number_list()
         else:
             value.items.append(self.item())
         return value
@@ -506,9 +502,6 @@ class _Parser:
         if token.kind == 1:
             self.take()
             return _unquoted(token.text)
-        if token.kind == 3:
-            self.take()
-            return float(token.text)
         if token.kind != 4:
             raise self._unexpected("a value")
         if token.text in _CONSTANTS:

@@ -10,7 +10,7 @@ from typing import Any
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import axis_angle, parameters, real, turned_about, value_of, walk
+from deepbots_webots.nodes import axis_angle, parameters, real, size_of, turned_about, value_of, walk
 from deepbots_webots.project import nodes_of_text
 from deepbots_webots.scene import AXES, Body, Joint, add_nodes, remove_node
 from deepbots_webots.sensors import NotImplementedCallError, missing_attribute, returns
@@ -42,9 +42,8 @@ class _NodeTypes:
 class Node(_NodeTypes):
     """A node of the world."""
 
-    def __init__(self, simulation: Simulation, node: Written, root_of: list[Written] | None = None) -> None:
+    def __init__(self, simulation: Simulation, node: Written) -> None:
         self._simulation, self._node, self._real = simulation, node, real(node)
-        self._root_of = root_of
 
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
@@ -75,8 +74,6 @@ class Node(_NodeTypes):
 
     def getField(self, fieldName: str) -> Field | None:
         """Return a field, or None if the node has no field of this name."""
-        if self._root_of is not None and fieldName == "children":
-            return Field(self._simulation, self._node, fieldName, self._root_of)
         if fieldName in parameters(self._node) or fieldName in parameters(self._real):
             return Field(self._simulation, self._node, fieldName)
         return None
@@ -164,10 +161,9 @@ class Node(_NodeTypes):
         self._simulation.physics.set_joint_position(joint, float(position))
 
     def _joint(self, function: str, index: int) -> Joint:
-        for body in self._simulation.scene.bodies:
-            for joint in body.joints:
-                if joint.node is self._real and joint.index == index - 1:
-                    return joint
+        for joint in self._simulation.scene.joints:
+            if joint.node is self._real and joint.index == index - 1:
+                return joint
         raise NotImplementedCallError(f"Node.{function} of a {self._node.type} is not implemented")
 
     # Contacts
@@ -191,13 +187,11 @@ class Node(_NodeTypes):
 
     def remove(self) -> None:
         """Remove the node from the `children` of the node above it, or from the world."""
-        scene = self._simulation.scene
-        outer = scene.parents.get(self._node)
-        nodes = scene.nodes if outer is None else value_of(outer, "children").nodes
-        if self._node not in nodes:
+        outer = self._simulation.scene.parents.get(self._node)
+        nodes = [] if outer is None else value_of(outer, "children").nodes
+        if outer is None or self._node not in nodes:
             raise NotImplementedCallError("Node.remove of a node outside of 'children' is not implemented")
-        root = scene.nodes if outer is None else None
-        Field(self._simulation, outer or self._node, "children", root).removeMF(nodes.index(self._node))
+        Field(self._simulation, outer, "children").removeMF(nodes.index(self._node))
 
     # States
 
@@ -261,11 +255,9 @@ class Field:
         0x11, 0x1A
     )
 
-    def __init__(
-        self, simulation: Simulation, node: Written, name: str, items: list[Written] | None = None
-    ) -> None:
+    def __init__(self, simulation: Simulation, node: Written, name: str) -> None:
         self._simulation, self._name = simulation, name
-        self._node, self._real, self._root = node, real(node), items
+        self._node, self._real = node, real(node)
 
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
@@ -290,7 +282,7 @@ class Field:
         return value_of(owner, self._name)
 
     def _items(self) -> list[Item]:
-        return list(self._root) if self._root is not None else self._value().items
+        return self._value().items
 
     def _unset(self, function: str) -> NotImplementedCallError:
         return NotImplementedCallError(
@@ -313,9 +305,8 @@ class Field:
         return item if isinstance(item, float) else 0.0
 
     def getSFString(self) -> str:
-        for robot, data in self._simulation.custom_data.items():
-            if self._name == "customData" and robot.node is self._real:
-                return data
+        if self._name == "customData" and self._real in self._simulation.custom_data:
+            return self._simulation.custom_data[self._real]
         item = next(iter(self._items()), "")
         return item if isinstance(item, str) else ""
 
@@ -337,8 +328,7 @@ class Field:
         return Node(self._simulation, item) if isinstance(item, Written) else None
 
     def getCount(self) -> int:
-        sizes = {"Vec2f": 2, "Vec3f": 3, "Color": 3, "Rotation": 4}
-        return len(self._items()) // sizes.get(self.getTypeName()[2:], 1)
+        return len(self._items()) // size_of(self.getTypeName())
 
     def getMFNode(self, index: int) -> Node | None:
         items = self._items()
@@ -359,12 +349,11 @@ class Field:
     def _joint(self) -> Joint | None:
         if self._name not in _JOINT_POSITIONS:
             return None
-        for body in self._simulation.scene.bodies:
-            for joint in body.joints:
-                is_position = joint.parameters is self._real and self._name == "position"
-                of_joint = joint.node is self._real and self._name == _JOINT_POSITIONS[joint.index]
-                if joint.kind != "ball" and (is_position or of_joint):
-                    return joint
+        for joint in self._simulation.scene.joints:
+            is_position = joint.parameters is self._real and self._name == "position"
+            of_joint = joint.node is self._real and self._name == _JOINT_POSITIONS[joint.index]
+            if joint.kind != "ball" and (is_position or of_joint):
+                return joint
         return None
 
     def _local_frame(self) -> Frame | None:
@@ -421,11 +410,10 @@ class Field:
             self._set("setSFFloat", [float(value)])
 
     def setSFString(self, value: str) -> None:
-        for robot in self._simulation.scene.robots:
-            if self._name == "customData" and robot.node is self._real:
-                self._simulation.custom_data[robot] = str(value)
-                return
-        self._set("setSFString", [str(value)])
+        if self._name == "customData" and self._real in self._simulation.custom_data:
+            self._simulation.custom_data[self._real] = str(value)
+        else:
+            self._set("setSFString", [str(value)])
 
     setSFBool = _sets_value("setSFBool", lambda value: [bool(value)])
     setSFInt32 = _sets_value("setSFInt32", lambda value: [float(int(value))])
@@ -444,19 +432,18 @@ class Field:
 
     def importMFNodeFromString(self, position: int, nodeString: str) -> None:
         """Add nodes to `children` before a position, -1 for the end. As in Webots, an error is printed."""
-        if self._name != "children" or (self._root is None and self._real.type == "Slot"):
+        if self._name != "children" or self._real.type == "Slot":
             raise self._unset("importMFNodeFromString")
         scene = self._simulation.scene
-        outer = None if self._root is not None else self._real
         items = self._items()
         at = position if position >= 0 else len(items) + position + 1
         nodes: list[Written] = []
         try:
             nodes, findings = nodes_of_text(nodeString, self._simulation.source, scene.files)
-            self._write([*items[:at], *nodes, *items[at:]])
-            self._simulation.change(lambda: add_nodes(scene, findings, nodes, outer))
+            self._keep([*items[:at], *nodes, *items[at:]])
+            self._simulation.change(lambda: add_nodes(scene, findings, nodes, self._real))
         except WorldError as error:
-            self._write(items)
+            self._keep(items)
             for node in nodes:
                 remove_node(scene, node)
             for finding in error.findings:
@@ -472,15 +459,8 @@ class Field:
         item = items[position]
         if self._name != "children" or not isinstance(item, Written):
             raise self._unset("removeMF")
-        self._write([other for other in items if other is not item])
+        self._keep([other for other in items if other is not item])
         self._simulation.change(lambda: remove_node(scene, item))
-
-    def _write(self, items: list[Item]) -> None:
-        """Write the nodes of a field of the world, or of a node."""
-        if self._root is None:
-            self._keep(items)
-        else:
-            self._root[:] = [item for item in items if isinstance(item, Written)]
 
     def _set_item(self, function: str, index: int, items: Sequence[Item]) -> None:
         """Set one item of a list, which takes several numbers."""
@@ -496,7 +476,7 @@ class Field:
         """Set the value of a field that a device reads again, or that only looks depend on."""
         is_device = self._real.type in _RENEWED
         is_seen = self._real.type in _LOOKS or self._name in _LABELS
-        if self._root is not None or not (is_device or is_seen):
+        if not (is_device or is_seen):
             raise self._unset(function)
         self._keep(items)
         if self._real.type in _MOTORS:

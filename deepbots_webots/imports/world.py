@@ -30,7 +30,6 @@ from deepbots_webots.shapes import (
     Mesh,
     Plane,
     Shape,
-    inertial_of,
     inverse,
     kind_of,
     look_of,
@@ -156,7 +155,7 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
             )
             geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
             visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
-            inertias = body.inertias if solid is None else ()
+            inertias = [inertial for owner, inertial in body.inertias if solids.get(owner) is solid]
             link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
             links.append(_as_seen(link, visuals, inverse(frame), built, scene))
             if solid is not None:
@@ -209,8 +208,6 @@ def _link(
             findings.warning(geometry.owner.span, f"a {kind_of(geometry.shape)} of a robot is left out")
             continue
         shapes.append(urdf.Geometry(shape, pose))
-        if geometry.mass > 0:
-            masses.append(inertial_of(geometry.shape, geometry.mass, frames.frame(pose)))
     if not masses and name != built.model.root:
         masses = [_LIGHT]
     friction = urdf.Friction(lateral=_friction(geometries, scene))
@@ -455,7 +452,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
             result.left_out.append((body.node.span.location, f"the {kind_of(geometry.shape)} of '{label}'"))
             continue
         parts = [shape]
-        mass = geometry.mass + sum(inertia.mass for inertia in body.inertias)
+        mass = sum(inertia.mass for _, inertia in body.inertias)
         parts.append(f"mass: {plain(mass)} kg" if body.is_free and mass > 0 else "fixed: true")
         if (friction := _friction([geometry], scene)) is not None:
             parts.append(f"friction: {plain(friction)}")

@@ -606,7 +606,7 @@ def warnings(text: str) -> list[str]:
 def test_a_world_is_a_tree_of_nodes_with_places():
     document = parse(Source("w.wbt", EXAMPLE))
     assert [entry.type for entry in document.nodes] == ["WorldInfo", "Viewpoint", "RectangleArena", "Robot"]
-    assert [entry.name for entry in document.externs] == ["RectangleArena"]
+    assert [*document.externs] == ["RectangleArena"]
     robot = document.nodes[-1]
     assert (robot.name, robot.span.start_position, vector(robot, "translation")) == (
         "ROBOT",
@@ -764,6 +764,11 @@ def test_a_text_that_is_not_a_world_is_one_finding(text: str, headline: str):
             "Robot { children [ HingeJoint { jointParameters HingeJointParameters { axis 0 0 0 } endPoint Solid { } } ] }",
             "the axis of a HingeJoint is zero",
         ),
+        (
+            "Robot { children [ Propeller { slowHelix Box { } } ] }",
+            "Propeller.slowHelix is a Box, and not a Solid",
+        ),
+        ("Robot { children [ Propeller { device Brake { } } ] }", "a Brake does not turn a Propeller"),
     ],
 )
 def test_a_world_that_cannot_run_says_why(text: str, headline: str):
@@ -810,6 +815,10 @@ def test_a_mesh_of_millions_of_faces_is_refused_before_it_is_loaded(
         (
             "Robot { children [ GPS { } GPS { } ] }",
             "the robot 'robot' has two devices 'gps'; the first one is used",
+        ),
+        (
+            "Robot { children [ HingeJoint { device [ RotationalMotor { } LinearMotor { } ] endPoint Solid { } } ] }",
+            "an axis with two motors; the first one is used",
         ),
     ],
 )
@@ -1095,7 +1104,7 @@ def test_each_node_is_in_a_table(name: str):
 def test_each_field_of_an_equivalent_has_an_effect_or_is_named_as_missing(name: str):
     proto = equivalent(name)
     body = (LIBRARY / f"{name}.proto").read_text("utf-8").split("] {\n")[1]
-    rendered = proto.text(Node(name, proto.span))
+    rendered = proto.text(Node(name, proto.span, interface=proto.interface))
     used = {*re.findall(r"\bIS (\w+)", body + rendered), *re.findall(r'"(\w+)"', body)}
     assert set(proto.interface) - used <= {
         *proto.missing,
