@@ -100,10 +100,22 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    files = (world, protos or (), _chosen(controller or ()))
-    is_fast = not view if fast is None else fast
-    page = (view, host, port, open_)
-    options = _Options(*files, steps, timeout, python, record, force, *page, is_fast, as_json)
+    options = _Options(
+        world,
+        protos or (),
+        _chosen(controller or ()),
+        steps,
+        timeout,
+        python,
+        record,
+        force,
+        view,
+        host,
+        port,
+        open_,
+        is_fast=not view if fast is None else fast,
+        as_json=as_json,
+    )
     with _checked(world, options.protos):
         opened = _read(options)
         if allow_code:

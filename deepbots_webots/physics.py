@@ -86,8 +86,8 @@ class Rays:
             mj.mj_multiRay(self._model, self._data, origin, rays.ravel(), *seen, *hits, count, reach)
         is_hit = (lengths >= 0) & (lengths <= reach)
         cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
-        columns = np.where(is_hit, (lengths, geoms, cosines), [[reach], [-1], [1.0]])
-        return [(length, int(geom), cosine) for length, geom, cosine in columns.T.tolist()]
+        lengths[~is_hit], geoms[~is_hit], cosines[~is_hit] = reach, -1, 1.0
+        return list(zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True))
 
 
 MAX_TORQUE = 1e8
@@ -531,9 +531,8 @@ class Physics:
 
     def stop_body(self, body: Body) -> None:
         """Set the velocities of a body, and of the bodies that hang on it, to 0."""
-        root = self.model.body_rootid[self.bodies[body.index]]
-        for dof in np.flatnonzero(self.model.body_rootid[self.model.dof_bodyid] == root):
-            self.data.qvel[dof] = 0.0
+        roots = self.model.body_rootid
+        self.data.qvel[roots[self.model.dof_bodyid] == roots[self.bodies[body.index]]] = 0.0
         self._has_velocities = False
 
     def set_joint_position(self, joint: Joint, position: float) -> None:

@@ -333,23 +333,25 @@ def remove_node(scene: Scene, node: Node) -> None:
     gone = set(walk([node]))
     around = scene.attachments.get(real(node), (None, ORIGIN))[0]
     scene.bodies = [body for body in scene.bodies if body.node not in gone]
+    bodies = {None, *scene.bodies}
     for index, body in enumerate(scene.bodies):
         body.index = index
         body.geometries = [geometry for geometry in body.geometries if geometry.owner not in gone]
     scene.robots = [robot for robot in scene.robots if robot.node not in gone]
+    # A node may be in several bodies (USE).
     for robot in scene.robots:
-        robot.devices = {name: each for name, each in robot.devices.items() if each.node not in gone}
-    scene.lights = [light for light in scene.lights if light.node not in gone]
-    scene.propellers = [propeller for propeller in scene.propellers if propeller.joint.node not in gone]
-    scene.loops = [loop for loop in scene.loops if not {*loop} - {None, *scene.bodies}]
-    # A Shape may be in several solids (USE).
-    scene.visuals = [
-        visual
-        for visual in scene.visuals
-        if visual.node not in gone or (visual.body is not around and visual.body in scene.bodies)
-    ]
-    for inner in gone:
-        scene.attachments.pop(inner, None)
+        devices = robot.devices.items()
+        robot.devices = {
+            name: each for name, each in devices if each.node not in gone and each.body in bodies
+        }
+    scene.lights = [light for light in scene.lights if light.node not in gone and light.body in bodies]
+    propellers = [propeller for propeller in scene.propellers if propeller.joint.node not in gone]
+    scene.propellers = [propeller for propeller in propellers if propeller.body in bodies]
+    scene.loops = [loop for loop in scene.loops if bodies.issuperset(loop)]
+    visuals = [visual for visual in scene.visuals if visual.node not in gone or visual.body is not around]
+    scene.visuals = [visual for visual in visuals if visual.body in bodies]
+    attachments = scene.attachments.items()
+    scene.attachments = {each: at for each, at in attachments if each not in gone and at[0] in bodies}
 
 
 @dataclass(frozen=True)

@@ -89,7 +89,7 @@ def kind_of(shape: Shape) -> str:
 def volume_of(shape: Shape) -> float:
     """Return the volume, m^3; 0 for planes and grids."""
     if isinstance(shape, Mesh):
-        return abs(float(_solid(shape).volume))
+        return abs(float(trimesh_of(shape).volume))
     return 0.0 if isinstance(shape, Plane | Grid) else volume(shape) or 0.0
 
 
@@ -101,7 +101,7 @@ def inertial_of(shape: Shape, mass: float, frame: Frame) -> Inertial:
         )
         assert inertial is not None  # planes and grids have no mass
         return inertial
-    solid = _solid(shape)
+    solid = trimesh_of(shape)
     solid.density = mass / solid.volume  # both are negative if faces point inward
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = solid.moment_inertia.tolist()
     x, y, z = solid.center_mass.tolist()
@@ -109,7 +109,8 @@ def inertial_of(shape: Shape, mass: float, frame: Frame) -> Inertial:
     return Inertial(mass, pose_of(center), xx, xy, xz, yy, yz, zz)
 
 
-def _solid(mesh: Mesh) -> Any:
+def trimesh_of(mesh: Mesh) -> Any:
+    """Return a mesh as one of trimesh."""
     import trimesh
 
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)

@@ -123,6 +123,7 @@ class Simulation:
             for sensor in self._sensors
             if not isinstance(sensor, DeviceObject) or sensor._spec in devices
         ]
+        self.objects = {device: each for device, each in self.objects.items() if device in devices}
         self._begin(robot for robot in now if robot not in before)
         self.states.clear()
         self.__dict__.pop("pictures", None)

@@ -1,19 +1,55 @@
-"""`deepbots export --to webots`."""
+"""`deepbots export --to webots`: the files of a project of Webots, and the gaps: what Webots lacks, and what differs
+there."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import field
+from math import inf
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any
 
+import deepbots_cli
+from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import run_to_export
 from deepbots_cli.cli.written_files import check_new_folder, refuse_links_within, write_new
+from deepbots_cli.codegen import formatted
+from deepbots_cli.codegen.names import class_name, docstring
+from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelRef
+from deepbots_cli.program.robots import Motor, Robot
+from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.words import shell_word
-from deepbots_webots.export import files
+from deepbots_webots.bridge import names
+from deepbots_webots.bridge.project import (
+    MODULE,
+    SCENARIO,
+    Project,
+    ReaderLog,
+    RemoteRobot,
+    lines_of,
+    project_of,
+)
+from deepbots_webots.export.world import joint_stops, world_text
+
+if TYPE_CHECKING:
+    from deepbots_cli.frames import Frame
+    from deepbots_cli.program import Program
+    from deepbots_cli.robots.model import Joint
+    from deepbots_cli.runtime import Supervisor
+
+
+OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
+"""The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
+_LEFT_OUT = ("replay", "normalize", "teacher", "patience", "symmetry", "self_play")
+"""What a training may have, and `train.py` has not."""
 
 
 def export(
@@ -40,16 +76,16 @@ def export(
     if is_run:
         ref = ModelRef.open(opened, model="last" if last else "best")
         run = run_to_export(ref.run, agent)
-        prepared = files.prepare(Source.open(run.path, permissions, SourceKind.RUN))
-        files.note_training(prepared, run.program)
+        prepared = prepare(Source.open(run.path, permissions, SourceKind.RUN))
+        note_training(prepared, run.program)
     else:
-        prepared = files.prepare(opened, overrides)
+        prepared = prepare(opened, overrides)
     if not as_json:
         for sentence in prepared.gaps.differs:
             terminal.note(f"differs in Webots: {sentence}")
     if is_run:
-        policy = files.policy_of_run(run, ref.name)
-    contents = files.project_files(prepared, policy)
+        policy = policy_of_run(run, ref.name)
+    contents = project_files(prepared, policy)
     write_new(contents, folder, force=force)
     world = next(path for path in contents if path.suffix == ".wbt")
     terminal.show(
@@ -58,3 +94,360 @@ def export(
         as_json=as_json,
         next_commands=[f"deepbots webots {shell_word(folder / world)} --allow-code"],
     )
+
+
+@dataclass(frozen=True, eq=False)
+class WebotsProject:
+    """A scenario that fits Webots, and what differs there. `starts` are the poses of robots and objects at
+    the start of an episode, by their names in the world."""
+
+    compiled: api.Compiled
+    project: Project
+    remotes: dict[str, RemoteRobot]
+    gaps: Gaps
+    starts: dict[str, Frame]
+
+
+def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
+    """Compile a scenario, or that of a run, for Webots.
+
+    Raises:
+        ScenarioError: The scenario has errors.
+        UsageError: The scenario cannot be exported; the message has a sentence for each reason.
+        MissingExtraError: MuJoCo is not installed.
+    """
+    from deepbots_cli import engines
+
+    compiled = api.compile(source, overrides=[*overrides, *OVERRIDES])
+    gaps = static_gaps(compiled.program)
+    _require_none(compiled.program, gaps)
+    project = project_of(compiled)
+    recorder = EngineRecorder(engines.create("mujoco", project.world))
+    with closing(recorder), closing(project.supervisor(recorder)) as task:
+        dynamic_gaps(recorder, task, gaps)
+        task.reset(seed=0)
+        bodies = [body.name for body in project.world.objects] + [*project.robots]
+        starts = {name: recorder.pose(name)() for name in bodies}
+    _require_none(compiled.program, gaps)
+    if left_out := _left_out(project):
+        gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
+    remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
+    return WebotsProject(compiled, project, remotes, gaps, starts)
+
+
+def note_training(prepared: WebotsProject, trained: Program) -> None:
+    """Add what differs from the training of a policy."""
+    if trained.timing != "delayed":
+        prepared.gaps.differ(
+            "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
+            " returns."
+        )
+
+
+def _require_none(program: Program, gaps: Gaps) -> None:
+    if gaps.missing:
+        sentences = "\n".join(f"  {sentence}" for sentence in gaps.missing)
+        raise UsageError(f"{program.name} cannot be exported to Webots:\n{sentences}")
+
+
+def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[PurePosixPath, bytes]:
+    """Return the files of the project.
+
+    Args:
+        policy: The policy as a graph of ONNX, for the supervisor.
+    """
+    from deepbots_webots.export.world import WorldWriter
+
+    compiled, project = prepared.compiled, prepared.project
+    program = compiled.program
+    world = re.sub(r"\W+|(?<=[a-z0-9])(?=[A-Z])", "_", program.name).lower()
+    texts = _texts(prepared, world, policy)
+    for controller, suffix in (("supervisor", ""), ("train", "_train")):
+        info = f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}"
+        writer = WorldWriter(project, prepared.remotes, prepared.starts, info)
+        texts[f"worlds/{world}{suffix}.wbt"] = world_text(writer.nodes(controller))
+    texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, formatted(compiled.code)
+    files = {PurePosixPath(path): text.encode() for path, text in texts.items()}
+    if policy is not None:
+        files[PurePosixPath("controllers/supervisor/policy.onnx")] = policy
+    for path, content in compiled.inputs.items():
+        files[PurePosixPath("scenario", INPUTS_FOLDER, path)] = content
+    return files
+
+
+def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[str, str]:
+    """Return the texts of README, requirements and controllers."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    templates = Environment(
+        loader=FileSystemLoader(Path(__file__).parent / "project"),
+        undefined=StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        autoescape=False,  # the files are Python, Markdown and worlds, not HTML
+    )
+    project, program = prepared.project, prepared.compiled.program
+    controllers = {names.controller_name(name): spec for name, spec in project.robots.items()}
+    words = {
+        "name": program.name,
+        "summary": " ".join(program.summary.split()),
+        "docstring": "\n    ".join(docstring(program.summary)),
+        "class_name": class_name(program.name),
+        "version": deepbots_cli.__version__,
+        "digest": prepared.compiled.digest[:12],
+        "world": world,
+        "timestep": project.timestep_ms,
+        "channels": {name: names.to_robot_channel(index) for index, name in enumerate(project.robots)},
+        "is_batch": program.agent.copies is not None,
+        "has_policy": policy is not None,
+        "controllers": list(controllers),
+        "differs": prepared.gaps.differs,
+        "algorithm": project.training.algorithm,
+        "longest_episode": program.truncation.max_episode_steps(program.period),
+    }
+    texts = {
+        path: templates.get_template(template).render(words)
+        for path, template in (
+            ("README.md", "README.md.j2"),
+            ("controllers/supervisor/webots_environment.py", "webots_environment.py.j2"),
+            ("controllers/supervisor/supervisor.py", "supervisor.py.j2"),
+            ("controllers/train/train.py", "train.py.j2"),
+        )
+    }
+    for name, spec in controllers.items():
+        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(
+            {
+                **words,
+                "class_name": class_name(name),
+                "robots": f"the robot {spec.name}",
+                "sent": _fields(spec.from_robot.fields),
+                "received": _fields(spec.to_robot.fields),
+            }
+        )
+    texts["requirements.txt"] = _REQUIREMENTS
+    return texts
+
+
+def _fields(fields: Sequence[Any]) -> str:
+    return ", ".join(field.name for field in fields) or "nothing"
+
+
+def _left_out(project: Project) -> list[str]:
+    """Return what `train.py` has not of the training of a scenario, by the names of the scenario."""
+    training = project.program.agent.training
+    if training is None:
+        return []
+    if training.algorithm != project.training.algorithm:
+        return [f"`algorithm: {training.algorithm}` with its settings"]
+    return [f"`{name}`" for name in _LEFT_OUT if getattr(training, name)]
+
+
+_REQUIREMENTS = (
+    f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
+    "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
+    "# deepbots-webots @ file:///PATH/TO/THE/CLONE/deepbots_webots\n"
+    "mujoco\nonnxruntime\nstable-baselines3\n"
+)
+
+
+def policy_of_run(run: Any, model: Any) -> bytes:
+    """Return the policy of a run as a graph of ONNX from observations to actions.
+
+    Raises:
+        MissingExtraError: onnx is not installed.
+        UsageError: The policy is recurrent, or cannot be exported.
+    """
+    try:
+        from deepbots_cli.insight.export.network import policy_graph
+        from deepbots_cli.learning import policy
+    except ModuleNotFoundError as error:
+        if (error.name or "").startswith("deepbots"):
+            raise
+        raise MissingExtraError("export", "exporting a policy") from error
+    learner = policy.loaded(run, model)
+    if learner.network().memory is not None:
+        raise UsageError(
+            "the policy of this run is recurrent; the export to Webots has policies without memory only"
+        )
+    return policy_graph(learner, run.program)
+
+
+# Gaps
+
+
+SEEDS = range(3)
+"""The seeds of the episodes that deepbots begins to see what varies between them."""
+_OF_ROBOTS = frozenset(
+    (
+        *("joint_states", "joint_torques", "pose", "velocity", "motion", "rays"),
+        *("velocity_motor", "position_motor", "torque_motor"),
+    )
+)
+_MISSING = {
+    "contact": "Touch sensors of robots",
+    "contact_force": "Contact forces",
+    "contact_force_vector": "Contact forces",
+    "joint_torques": "Torques of motors that the supervisor reads",
+    "joint_wrench": "Forces and torques in joints",
+    "camera": "Cameras",
+    "pusher": "Disturbances and thrust",
+    "before_substep": "Delays, and other actuators that act in each physics step,",
+    "inverse_kinematics": "Cartesian actuators",
+    "clearance": "Clearances that a robot measures",
+    "angular_momentum": "Angular momentum that a robot measures",
+}
+"""What the methods of an engine are for, as the subject of a sentence."""
+_OF_SUPERVISOR = frozenset(
+    ["contact_force", "contact_force_vector", "joint_torques", "joint_wrench", "camera", "pusher"]
+)
+_LOOKS = frozenset(["light", "color"])
+
+
+@dataclass
+class Gaps:
+    """What cannot be exported, and what differs in Webots."""
+
+    missing: list[str] = field(default_factory=list)
+    """The reasons for which a scenario is refused."""
+    differs: list[str] = field(default_factory=list)
+
+    def miss(self, sentence: str) -> None:
+        if sentence not in self.missing:
+            self.missing.append(sentence)
+
+    def differ(self, sentence: str) -> None:
+        if sentence not in self.differs:
+            self.differs.append(sentence)
+
+
+class EngineRecorder(ReaderLog):
+    """An engine that records the calls of a scenario, and what it changes."""
+
+    def __init__(self, engine: Any) -> None:
+        super().__init__(engine)
+        self.parameters: set[str] = set()
+        self.has_joint_velocities = False
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        self.has_joint_velocities |= velocity != 0.0
+        self.engine.set_joint(robot, joint, position, velocity)
+
+    def set_parameter(self, parameter: Any, owner: tuple[str, ...], *values: float) -> None:
+        self.parameters.add(parameter)
+        self.engine.set_parameter(parameter, owner, *values)
+
+
+def static_gaps(program: Program) -> Gaps:
+    """Return what the program alone shows."""
+    gaps = Gaps()
+    milliseconds = program.world.timestep * 1000
+    for is_there, sentence in (
+        (
+            program.members or program.others is not None,
+            "Several agents with policies of their own cannot be exported.",
+        ),
+        (program.links, "Messages between robots cannot be exported."),
+        (
+            program.python_functions,
+            "Reward terms and endings that are Python functions cannot be exported.",
+        ),
+        (
+            abs(milliseconds - round(milliseconds)) > 1e-9,
+            f"A timestep of {milliseconds:g} ms is not a whole number of ms, which Webots steps by.",
+        ),
+        (any(program.world.gravity[:2]), "Gravity that is not vertical cannot be exported."),
+    ):
+        if is_there:
+            gaps.miss(sentence)
+    robots = [robot.name for robot in program.world.robots]
+    bodies = [*robots, *(body.name for body in program.world.objects)]
+    taken = Counter([*map(names.def_name, bodies), *names.OWN_NODES])
+    for body_name in bodies:
+        name = names.def_name(body_name)
+        if taken[name] > 1 or (name == names.TRAINING and body_name in robots):
+            gaps.miss(f"Another part of the project in Webots has the name of {body_name}: rename it.")
+    for body in program.world.objects:
+        if body.pooled or body.variants:
+            gaps.miss(f"The object {body.name}, which some episodes leave out or change, cannot be exported.")
+    if program.world.lines:
+        gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
+    for robot in program.robots:
+        _gaps_of_robot(program, robot, gaps)
+    gaps.differ(
+        "Messages take one timestep in each direction (`timing: delayed`), and are comma-separated values."
+    )
+    gaps.differ("The physics, and with it the returns, are those of Webots.")
+    return gaps
+
+
+def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
+    for sensor in robot.sensors:
+        if sensor.optics is not None:
+            gaps.miss(f"The camera {sensor.name} of {robot.name} cannot be exported.")
+    for actuator in robot.actuators:
+        if not isinstance(actuator, Motor):
+            gaps.miss(
+                f"The actuator {actuator.name} of {robot.name} cannot be exported: it is not a motor of a"
+                " joint."
+            )
+        elif actuator.stiffness is not None or actuator.no_load_speed is not None:
+            gaps.miss(
+                f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no"
+                " stiffness, and no torque that falls with their speed."
+            )
+    if not (robot.to_route.perfect and robot.from_route.perfect):
+        gaps.differ("Latency, loss and range of messages are left out.")
+    model = next(body.model for body in program.world.robots if body.name == robot.name)
+    for joint in model.joints:
+        for sentence, is_missing in _gaps_of_joint(robot.name, joint):
+            (gaps.miss if is_missing else gaps.differ)(sentence)
+
+
+def _gaps_of_joint(robot: str, joint: Joint) -> Iterator[tuple[str, bool]]:
+    """Yield sentences, and whether they refuse the scenario."""
+    name = f"the joint {joint.name} of {robot}"
+    if joint.type in ("floating", "planar"):
+        yield f"Webots has no {joint.type} joints, such as {name}.", True
+        return
+    if joint.mimic is not None and joint.moves:
+        yield f"Webots has no joints that follow another one, such as {name}.", True
+    low, high = joint.ends(inf)
+    if joint.moves and not low <= 0.0 <= high:
+        yield f"The limits of {name} do not contain 0, as those of Webots must.", True
+    elif joint.moves and min(-low, high) < inf and joint_stops(joint) is None:
+        yield f"The limits of {name} are beyond 180 degrees, and are left out.", False
+    if joint.armature:
+        yield f"The armature of {name} is left out.", False
+
+
+def dynamic_gaps(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
+    """Add what the generated code asks of its engine: when it is bound, and in a few episodes."""
+    for agent in task.agents.values():
+        for remote in agent.controllers.values():
+            if isinstance(remote, RemoteRobot):
+                _gaps_of_calls(remote, gaps)
+    methods = {method for method, *_ in recorder.calls}
+    for method in sorted(methods & _OF_SUPERVISOR):
+        gaps.miss(f"{_MISSING[method]} cannot be exported.")
+    if "contact" in methods:
+        gaps.differ("A contact counts if it lasts until the end of a timestep.")
+    for seed in SEEDS:
+        task.reset(seed=seed)
+    if any(getattr(agent, "has_varied_sensors", False) for agent in task.agents.values()):
+        gaps.differ("Faults of sensors that an episode draws have their nominal values.")
+    varied = sorted(recorder.parameters - _LOOKS - {"gravity"})
+    if varied:
+        parameters = ", ".join(name.replace("_", " ") for name in varied)
+        gaps.differ(f"Changes of {parameters} between episodes are left out.")
+    if recorder.parameters & _LOOKS:
+        gaps.differ("Colors and light that episodes vary have their usual values.")
+    if recorder.has_joint_velocities:
+        gaps.differ("Joints are at rest at the start of an episode.")
+
+
+def _gaps_of_calls(remote: RemoteRobot, gaps: Gaps) -> None:
+    for method, _, options in remote.log.calls:
+        if method not in _OF_ROBOTS:
+            gaps.miss(f"{_MISSING[method]} cannot be exported.")
+        if options.get("upright"):
+            gaps.miss("Rays that stay level when the robot tilts cannot be exported.")

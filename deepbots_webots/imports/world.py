@@ -34,6 +34,7 @@ from deepbots_webots.shapes import (
     kind_of,
     look_of,
     pose_of,
+    trimesh_of,
     visible_shape,
 )
 from deepbots_webots.syntax import Node, WorldFindings
@@ -231,18 +232,11 @@ def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
         case Plane() | Grid():
             return None
         case Mesh():
-            content = _stl(shape)
+            content = bytes(trimesh_of(shape).export(file_type="stl"))
             path = f"{built.model.name}_{link}_{len(built.meshes)}.stl"
             built.meshes[path] = content
             return urdf.Mesh(path, hashlib.sha256(content).hexdigest())
     return shape
-
-
-def _stl(mesh: Mesh) -> bytes:
-    """Return the triangles of a mesh as a binary STL file."""
-    facets = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
-    facets["corners"] = mesh.vertices[mesh.faces]
-    return b"\0" * 80 + len(facets).to_bytes(4, "little") + facets.tobytes()
 
 
 # Joints

@@ -1,7 +1,8 @@
 """A case of the table: a small world, what is read of it in an engine, and the number of its closed form.
 
 Worlds are models (`opened`) or texts of scenarios (`trial`). The engine `batch` is the second of two worlds of
-a MuJoCo batch, and `webots` a world of Webots in MuJoCo with the same objects.
+a MuJoCo batch, and `webots` a world of Webots in MuJoCo with the same objects; `webots-NUE` is another with these
+axes.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Mesh
 from deepbots_webots import supervisor
 from deepbots_webots.bridge.plant import Plant
-from deepbots_webots.export.world import WorldWriter, world_text
+from deepbots_webots.export.world import NodeText, WorldWriter, node, world_text
+from deepbots_webots.nodes import axis_angle
 from deepbots_webots.scene import build_scene
 from deepbots_webots.simulation import Simulation
 from tests.webots.exported_projects import read
@@ -33,6 +35,7 @@ Array = np.ndarray[Any, Any]
 G = 9.81
 PORT = ("pybullet", "mujoco", "batch")
 ALL = (*PORT, "webots")
+NUE = "webots-NUE"
 FOLDER = tempfile.TemporaryDirectory(prefix="physics-")
 """Files of scenarios and meshes, until the process ends."""
 
@@ -83,32 +86,50 @@ def measured(case: Case, engine: str) -> dict[str, float]:
 
 
 class WebotsEngine:
-    """The objects and the ground of a world as a world of Webots: the methods of the port that cases need."""
+    """The objects and the ground of a world as a world of Webots: the methods of the port that cases need, with
+    vectors to the east, north and up."""
 
-    def __init__(self, world: WorldModel) -> None:
+    def __init__(self, world: WorldModel, engine: str) -> None:
         project: Any = SimpleNamespace(
             world=world,
             robots={},
             program=SimpleNamespace(name=""),
             timestep_ms=round(world.timestep * 1000),
         )
-        scene_world = read(world_text(WorldWriter(project, {}, {}, "").nodes("<none>")))
+        info, *nodes = WorldWriter(project, {}, {}, "").nodes("<none>")
+        self._turn = frames.IDENTITY_ROTATION
+        if engine == NUE:
+            self._turn = (-0.5, -0.5, -0.5, 0.5)
+            info = NodeText(f'{info[:-1]} coordinateSystem "NUE" }}')
+            nodes = [node("Pose", rotation=tuple(axis_angle(self._turn)), children=nodes)]
+        scene_world = read(world_text([info, *nodes]))
         scene = build_scene(scene_world)
         scene_world.findings.require_none()
         self._simulation = Simulation(scene, scene_world.span)
         (self._simulation.current,) = scene.robots
         supervisor.activate(self._simulation)
         self._plant = Plant(supervisor.Supervisor(), world)
-        self.place = self._plant.place
+
+    def place(self, body: str, position: Any, orientation: Any, *velocities: Any) -> None:
+        turned = (frames.rotate(self._turn, velocity) for velocity in velocities)
+        self._plant.place(body, position, orientation, *turned)
 
     def reset(self) -> None:
         self._simulation.physics.reset()
 
     def pose(self, body: str) -> Callable[[], Any]:
-        return lambda: self._plant.motion(body)[:2]
+        return lambda: self._motion(body)[:2]
 
     def velocity(self, body: str) -> Callable[[], Any]:
-        return lambda: self._plant.motion(body)[2:]
+        return lambda: self._motion(body)[2:]
+
+    def _motion(self, body: str) -> tuple[Any, ...]:
+        position, orientation, *velocities = self._plant.motion(body)
+        turned = frames.multiply(frames.inverse(self._turn), orientation)
+        east_position, *east_velocities = (
+            frames.rotate_back(self._turn, each) for each in (position, *velocities)
+        )
+        return east_position, turned, *east_velocities
 
     def contact_force(self, _: object) -> Callable[[], float]:
         return lambda: float("nan")
@@ -127,7 +148,7 @@ class Bench:
     def __init__(self, engine: str, world: WorldModel) -> None:
         self.timestep = world.timestep
         self.batch = create_batch("mujoco", world, 2) if engine == "batch" else None
-        self.engine: Any = WebotsEngine(world) if engine == "webots" else None
+        self.engine: Any = WebotsEngine(world, engine) if engine in ("webots", NUE) else None
         self.engine = self.engine or (self.batch.members[1] if self.batch else create(engine, world))
         self.substeps = world.substeps
         self.reset()

@@ -26,7 +26,7 @@ from deepbots_cli.runtime.copies import copy_name
 from deepbots_webots import supervisor
 from deepbots_webots.bridge.plant import MirrorEngine, Plant
 from deepbots_webots.devices import device_object
-from deepbots_webots.export.files import WebotsProject, prepare, project_files
+from deepbots_webots.export.command import WebotsProject, prepare, project_files
 from deepbots_webots.project import Files, World, read_world, world_of_source
 from deepbots_webots.runner import SITE
 from deepbots_webots.scene import build_scene
