@@ -243,11 +243,13 @@ TETRAHEDRON = (
         (TETRAHEDRON, 0.3**3 / 6),
     ],
 )
-def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
-    simulation = simulate(f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}", gravity=0)
-    node(simulation, "BODY").addForce([0.0, 0.0, 1.0], False)
+def test_a_density_gives_the_mass_of_a_shape(axes: str, shape: str, volume: float):
+    text = f"DEF BODY Solid {{ boundingObject {shape} physics Physics {{ }} }}"
+    simulation = simulate(text, axes=axes, gravity=0)
+    node(simulation, "BODY").addForce([0.0, 0.0, 1.0], True)
     simulation.run_step()
-    assert node(simulation, "BODY").getVelocity()[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
+    velocity = enu(node(simulation, "BODY").getVelocity(), axes)
+    assert velocity[2] == pytest.approx(0.008 / (1000 * volume), rel=0.01)
 
 
 @pytest.mark.parametrize(
@@ -263,15 +265,17 @@ def test_a_density_gives_the_mass_of_a_shape(shape: str, volume: float):
         (TETRAHEDRON, "", 2 * 0.3**2 / 14),  # about its center 3/40, with products of 1/80
     ],
 )
-def test_a_stated_center_of_mass_keeps_the_inertia_of_the_outline(shape: str, stated: str, moment: float):
+def test_a_stated_center_of_mass_keeps_the_inertia_of_the_outline(
+    axes: str, shape: str, stated: str, moment: float
+):
     text = f"""DEF BODY Solid {{ boundingObject {shape} physics Physics {{ density -1 mass 2
       centerOfMass [ 0.1 0 0 ] {stated} }} }}"""
-    simulation = simulate(text, gravity=0)
+    simulation = simulate(text, axes=axes, gravity=0)
     body = node(simulation, "BODY")
-    assert body.getCenterOfMass() == pytest.approx([0.1, 0, 0])
-    body.addTorque([0.0, 0.0, 1e-3], False)
+    assert enu(body.getCenterOfMass(), axes) == pytest.approx([0.1, 0, 0], abs=1e-6)
+    body.addTorque([0.0, 0.0, 1e-3], True)
     simulation.run_step()
-    assert body.getVelocity()[5] == pytest.approx(0.008e-3 / moment, rel=0.01)
+    assert enu(body.getVelocity(), axes)[5] == pytest.approx(0.008e-3 / moment, rel=0.01)
 
 
 def test_propellers_lift_their_robot_by_the_square_of_their_speed(axes: str):
