@@ -234,9 +234,9 @@ def _read(options: _Options) -> _Opened:
     if unknown is not None:
         raise UsageError(f"--controller {unknown}=...: the robots of the world are {', '.join(names)}")
     pairs = list(programs(world.files, scene.robots, options.controllers))
-    for robot, program in pairs:
+    for _, program in pairs:
         if program.remark:
-            terminal.note(f"the controller '{program.name}' of '{robot.name}' {program.remark}")
+            terminal.note(program.remark)
     return _Opened(world, scene, pairs)
 
 
@@ -282,28 +282,31 @@ def _short(names: Iterable[str]) -> str:
 def _run(opened: _Opened, options: _Options) -> None:
     from deepbots_webots.simulation import Pace, Simulation
 
-    simulation = Simulation(opened.scene, opened.world.span)
-    pace = Pace(simulation, is_fast=options.is_fast)
+    is_fast, viewer = options.is_fast, None
     try:
         with ExitStack() as stack:
-            viewer = None
-            if options.has_page:
-                viewer = stack.enter_context(_serve(simulation, pace, options))
-            outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
-            # A stuck controller is a thread that nothing ends, and it would run beside its successor.
-            while viewer is not None and pace.wants_restart and not outcome.is_stuck:
+            while True:
+                simulation = Simulation(opened.scene, opened.world.span)
+                pace = Pace(simulation, is_fast=is_fast)
+                if viewer is not None:
+                    viewer.show(simulation, pace)
+                elif options.has_page:
+                    viewer = stack.enter_context(_serve(simulation, pace, options))
+                outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+                # A stuck controller is a thread that nothing ends, and it would run beside its successor.
+                if viewer is None or not pace.wants_restart or outcome.is_stuck:
+                    break
                 for problem in outcome.problems:
                     terminal.print_error(problem)
-                opened = _read(options)
-                simulation = Simulation(opened.scene, opened.world.span)
-                pace = Pace(simulation, is_fast=pace.is_fast)
-                viewer.show(simulation, pace)
-                outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
+                opened, is_fast = _read(options), pace.is_fast
     except KeyboardInterrupt:
         terminal.note("interrupted")
         _leave(INTERRUPTED)
     _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
-    _exit(outcome)
+    if outcome.is_stuck:
+        _leave(outcome.exit_code)
+    if outcome.exit_code:
+        raise typer.Exit(outcome.exit_code)
 
 
 def _run_once(
@@ -314,14 +317,14 @@ def _run_once(
     viewer: Viewer | None,
 ) -> tuple[Outcome, float]:
     """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_webots.rendering import VideoRecorder
+    from deepbots_webots.rendering import video
     from deepbots_webots.runner import Runner, packages_of
 
     with ExitStack() as stack:
         recorder = None
         if options.record is not None:
-            video = VideoRecorder(simulation, options.record.resolve(), force=options.force)
-            recorder = stack.enter_context(video)
+            path = options.record.resolve()
+            recorder = stack.enter_context(video(simulation, path, force=options.force))
         runner = Runner(
             simulation,
             programs,
@@ -348,14 +351,6 @@ def _serve(simulation: Simulation, pace: Pace, options: _Options) -> Viewer:
     if options.opens_browser:
         webbrowser.open(viewer.address)
     return viewer
-
-
-def _exit(outcome: Outcome) -> None:
-    """End with the exit code of a run."""
-    if outcome.is_stuck:
-        _leave(outcome.exit_code)
-    if outcome.exit_code:
-        raise typer.Exit(outcome.exit_code)
 
 
 def _leave(code: int) -> NoReturn:

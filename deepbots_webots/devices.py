@@ -54,11 +54,9 @@ class JointDevice(Device):
         return 1 if self._spec.joint is not None and self._spec.joint.kind == "slide" else 0
 
     def _sibling(self, *types: str) -> Any:
-        robot = self._spec.body.robot
-        if robot is None:
-            return None
-        for spec in robot.devices.values():
-            if spec.joint is self._spec.joint and spec.type in types:
+        robot, joint = self._spec.body.robot, self._spec.joint
+        for spec in robot.devices.values() if robot is not None else ():
+            if spec.joint is joint and spec.type in types:
                 return device_object(self._simulation, spec)
         return None
 
@@ -297,7 +295,7 @@ class Receiver(Sensor):
             aperture = number(device.node, "aperture")
             if aperture >= 0 and direction[0] < math.cos(min(aperture / 2, math.pi)):
                 return False
-        hit = physics.rays.cast(start, [ahead], packet.distance, sender.body.robot)[0]
+        hit = physics.cast(start, [ahead], packet.distance, sender.body.robot)[0]
         # The ray may end at the robot that carries the receiver, which hides nothing.
         return hit[1] < 0 or physics.geoms[hit[1]][0].robot is spec.body.robot
 

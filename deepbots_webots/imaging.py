@@ -252,7 +252,7 @@ class _Recognition(Sensor):
         """Return whether something else than these solids is before a point, at an offset in the world."""
         distance, physics = math.hypot(*offset), self._simulation.physics
         unit = frames.scaled(offset, 1 / distance)
-        geom = physics.rays.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
+        geom = physics.cast(self._frame()[0], [unit], distance, self._spec.body.robot)[0][1]
         return geom >= 0 and physics.geoms[geom][1].owner not in parts
 
     def _outline(self, parts: set[Node]) -> list[tuple[Shape, Frame]]:
@@ -417,7 +417,7 @@ class Lidar(_HasRange):
         least, most = self.getMinRange(), self.getMaxRange()
         rays = self._rays[:, columns].reshape(-1, 3)
         lengths = np.linalg.norm(rays, axis=1)
-        hits = self._simulation.physics.rays.cast(
+        hits = self._simulation.physics.cast(
             start, rays / lengths[:, None] @ axes, most * float(lengths.max()), self._spec.body.robot
         )
         met = np.array([distance if geom >= 0 else math.inf for distance, geom, _ in hits])

@@ -14,7 +14,6 @@ substep, where MuJoCo has computed the constraints and not yet solved them:
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from math import ceil, isinf
 from typing import Any
@@ -40,54 +39,6 @@ Floats = NDArray[np.float64]
 _SKIPPED_GROUP = 5
 _GROUPS = np.array([1, 1, 1, 1, 1, 0], np.uint8)
 """Whether a geometry of each group stops rays."""
-
-
-class Rays:
-    """Casts rays.
-
-    Args:
-        bodies: The body of each geometry.
-        update_positions: Brings the positions of the geometries up to date.
-    """
-
-    def __init__(
-        self, model: Any, data: Any, bodies: Sequence[Body], update_positions: Callable[[], None]
-    ) -> None:
-        self._model, self._data = model, data
-        self._update_positions = update_positions
-        self._robot_geoms: dict[Robot | None, list[int]] = {}
-        for index, body in enumerate(bodies):
-            if body.robot is not None:
-                self._robot_geoms.setdefault(body.robot, []).append(index)
-
-    @contextmanager
-    def _without(self, robot: Robot | None) -> Iterator[None]:
-        """Context in which a robot stops no ray."""
-        self._update_positions()
-        # `mj_ray` can leave out a single body, and a robot has several.
-        groups = self._model.geom_group
-        geoms = self._robot_geoms.get(robot, [])
-        saved = groups[geoms].copy()
-        groups[geoms] = _SKIPPED_GROUP
-        try:
-            yield
-        finally:
-            groups[geoms] = saved
-
-    def cast(
-        self, start: Triple, directions: Sequence[Triple] | Floats, reach: float, robot: Robot | None = None
-    ) -> list[tuple[float, int, float]]:
-        """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
-        cosine of its incidence. The robot stops no ray."""
-        rays, count = np.ascontiguousarray(directions, np.float64), len(directions)
-        geoms, lengths, normals = np.full(count, -1, np.int32), np.zeros(count), np.zeros(3 * count)
-        origin, seen, hits = np.array(start), (_GROUPS, True, -1), (geoms, lengths, normals)
-        with self._without(robot):
-            mj.mj_multiRay(self._model, self._data, origin, rays.ravel(), *seen, *hits, count, reach)
-        is_hit = (lengths >= 0) & (lengths <= reach)
-        cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
-        lengths[~is_hit], geoms[~is_hit], cosines[~is_hit] = reach, -1, 1.0
-        return list(zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True))
 
 
 MAX_TORQUE = 1e8
@@ -309,10 +260,13 @@ class Physics:
         self._static_frames = model.body_pos.copy(), model.body_quat.copy()
         self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
         self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
-        self._damped = _damped_bodies(scene)
+        self._damped = [body for body in scene.bodies if any(body.damping)]
         shafts = dict.fromkeys(propeller.joint for propeller in scene.propellers)
         self.motors = Motors(model, self.data, {**self._joint_ids, **shafts}, motors)
-        self.rays = Rays(model, self.data, [body for body, _ in self.geoms], self.update_positions)
+        self._robot_geoms: dict[Robot | None, list[int]] = {}
+        for index, (body, _) in enumerate(self.geoms):
+            if body.robot is not None:
+                self._robot_geoms.setdefault(body.robot, []).append(index)
         self._has_positions = self._has_velocities = False
         self._start = self._state_at_begin()
 
@@ -426,8 +380,8 @@ class Physics:
 
     def _damp(self) -> None:
         """Slow bodies with a Damping node by its share per s."""
-        for body, linear, angular in self._damped:
-            at = self._free_dofs.get(body)
+        for body in self._damped:
+            at, (linear, angular) = self._free_dofs.get(body), body.damping
             if at is not None:
                 self.data.qvel[at : at + 3] *= (1.0 - linear) ** self.substep
                 self.data.qvel[at + 3 : at + 6] *= (1.0 - angular) ** self.substep
@@ -486,6 +440,28 @@ class Physics:
 
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
+
+    def cast(
+        self, start: Triple, directions: Sequence[Triple] | Floats, reach: float, robot: Robot | None = None
+    ) -> list[tuple[float, int, float]]:
+        """Return for each ray the distance (m; `reach` if nothing is hit), the geometry (or -1), and the
+        cosine of its incidence. The robot stops no ray."""
+        rays, count = np.ascontiguousarray(directions, np.float64), len(directions)
+        geoms, lengths, normals = np.full(count, -1, np.int32), np.zeros(count), np.zeros(3 * count)
+        origin, seen, hits = np.array(start), (_GROUPS, True, -1), (geoms, lengths, normals)
+        self.update_positions()
+        # MuJoCo can leave out a single body, and a robot has several.
+        groups, own = self.model.geom_group, self._robot_geoms.get(robot, [])
+        saved = groups[own].copy()
+        groups[own] = _SKIPPED_GROUP
+        try:
+            mj.mj_multiRay(self.model, self.data, origin, rays.ravel(), *seen, *hits, count, reach)
+        finally:
+            groups[own] = saved
+        is_hit = (lengths >= 0) & (lengths <= reach)
+        cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
+        lengths[~is_hit], geoms[~is_hit], cosines[~is_hit] = reach, -1, 1.0
+        return list(zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True))
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
         """Return the contacts of the last substep: two geometries, the point, and the force on the second
@@ -605,11 +581,3 @@ class _BounceTable:
             impedance = data.efc_KBIP[fast_rows, 2]  # stiffness, damping, impedance and its derivative
             shares = 1.0 + self._bounce[ones, others][fast]
             data.efc_aref[fast_rows] = -shares * speeds[fast] / (step * impedance)
-
-
-def _damped_bodies(scene: Scene) -> list[tuple[Body, float, float]]:
-    return [
-        (body, min(max(body.damping[0], 0.0), 1.0), min(max(body.damping[1], 0.0), 1.0))
-        for body in scene.bodies
-        if any(body.damping)
-    ]

@@ -187,7 +187,8 @@ def nodes_of_text(text: str, world: Source, files: Files) -> tuple[list[Node], W
 
 @dataclass(frozen=True)
 class Program:
-    """The program of a robot: the file to run, or else the remark says why there is none."""
+    """The program of a robot: the file to run, or else the remark says why there is none. A remark is a
+    sentence about the controller, or empty."""
 
     name: str
     path: Path | None
@@ -216,13 +217,13 @@ def programs(
     named = {robot.controller for robot in robots} | {path.parent.name for path in (chosen or {}).values()}
     unnamed = {path.parent.name: path for path in _programs_of(files) if path.parent.name not in named}
     for robot in robots:
-        name = robot.controller
-        if chosen and robot.name in chosen:
-            yield robot, Program(name, chosen[robot.name])
-        elif name == "<extern>":
-            yield robot, _extern(robot, files, unnamed)
-        elif name not in ("", "<none>", "void"):
-            yield robot, _program(files, name, robot)
+        name, path, remark = robot.controller, (chosen or {}).get(robot.name), ""
+        if path is None:
+            path, remark = (
+                _extern(robot, files, unnamed) if name == "<extern>" else _program(files, name, robot)
+            )
+        if path is not None or remark:
+            yield robot, Program(name, path, remark and f"the controller '{name}' of '{robot.name}' {remark}")
 
 
 def _programs_of(files: Files) -> list[Path]:
@@ -235,33 +236,32 @@ def _programs_of(files: Files) -> list[Path]:
     return [path for path in paths if files.allows(path)]
 
 
-def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path]) -> Program:
+def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path]) -> tuple[Path | None, str]:
     path = unnamed.get(robot.name)
     if path is None and len(unnamed) == 1:
         (path,) = unnamed.values()
     if path is not None:
-        return Program(robot.controller, path, f"is {path.relative_to(files.project)}")
-    return Program(robot.controller, None, f"is any program; name it: {_option(robot.name)}")
+        return path, f"is {path.relative_to(files.project)}"
+    return None, f"is any program; name it: {_option(robot.name)}"
 
 
 def _option(robot: str) -> str:
     return f"--controller {shlex.quote(robot)}=FILE"
 
 
-def _program(files: Files, name: str, robot: Robot) -> Program:
+def _program(files: Files, name: str, robot: Robot) -> tuple[Path | None, str]:
+    if name in ("", "<none>", "void"):
+        return None, ""
     if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):
-        return Program(name, None, "is none of the project")
+        return None, "is none of the project"
     folder = files.project / "controllers" / name
     path = folder / f"{name}.py"
-    if path.is_file() and files.allows(path):
-        return Program(name, path)
     if path.is_file():
-        return Program(name, None, "is a link out of the project")
+        return (path, "") if files.allows(path) else (None, "is a link out of the project")
     for suffix, language in _COMPILED.items():
         if (folder / f"{name}{suffix}").is_file():
-            return Program(name, None, f"is written in {language}; deepbots runs Python")
-    missing = f"has no file controllers/{name}/{name}.py; name another one: {_option(robot.name)}"
-    return Program(name, None, missing)
+            return None, f"is written in {language}; deepbots runs Python"
+    return None, f"has no file controllers/{name}/{name}.py; name another one: {_option(robot.name)}"
 
 
 # Equivalents

@@ -7,23 +7,23 @@ camera.
 
 from __future__ import annotations
 
-import atexit
-import threading
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from functools import cache
+from itertools import count
 from math import ceil, inf, tan
 from pathlib import Path
 from queue import Queue
-from types import TracebackType
 from typing import Any
-from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.cameras import is_available, opens_context
+from deepbots_cli.engines.mujoco.cameras import OPEN_RENDERERS, is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame
@@ -49,21 +49,11 @@ MAX_PIXELS = 4096
 UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
 
 
-_OPEN: WeakSet[Pictures] = WeakSet()
-
-
-def _close_all() -> None:
-    for pictures in tuple(_OPEN):
-        pictures.close()
-
-
 @cache
 def _context() -> Any:
     """Return a context of OpenGL around which all pictures are drawn, so that none stays with a thread: each
     controller has a thread of its own."""
-    context = mj.GLContext(8, 8)
-    atexit.register(_close_all)  # before MuJoCo ends the library, which it registered with the first context
-    return context
+    return mj.GLContext(8, 8)
 
 
 def require_opengl() -> None:
@@ -83,7 +73,7 @@ class Pictures:
         self._physics = physics
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
-        _OPEN.add(self)
+        OPEN_RENDERERS.add(self)
 
     def close(self) -> None:
         for renderer in self._renderers.values():
@@ -279,68 +269,50 @@ FRAME_RATES = {".mp4": 32.0, ".gif": 10.0}
 _WAITING = 8  # pictures that are drawn and not written yet
 
 
-class VideoRecorder:
-    """Writes a video while a world runs: a context manager, and a function to call after each step.
+@contextmanager
+def video(simulation: Simulation, path: Path, *, force: bool = False) -> Iterator[Callable[[], None]]:
+    """Write a video while a world runs; yields a function to call after each step. A file is overwritten only
+    by `force`.
 
     The video plays in simulated time. The picture follows the solid that the viewpoint follows.
+
+    Raises:
+        UsageError: The file exists, has another suffix, or cannot be written.
+        MissingExtraError: imageio is missing for an MP4.
+        EngineError: There is no OpenGL.
     """
+    check_target(path, SUFFIXES, force=force)
+    require_opengl()
+    step, suffix = simulation.basic_step / 1000, path.suffix.lower()
+    # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
+    every = max(1, ceil(1 / step / FRAME_RATES[suffix] - 1e-9))
+    view, steps = Viewpoint(simulation), count(1)
+    pictures: Queue[Any] = Queue(_WAITING)
 
-    def __init__(self, simulation: Simulation, path: Path, *, force: bool = False) -> None:
-        """Check what can be checked before the run. A file is overwritten only by `force`.
+    def draw() -> None:
+        pictures.put(simulation.pictures.colors(view.now(), (WIDTH, HEIGHT), view.fov))
 
-        Raises:
-            UsageError: The file exists, has another suffix, or cannot be written.
-            MissingExtraError: imageio is missing for an MP4.
-            EngineError: There is no OpenGL.
-        """
-        check_target(path, SUFFIXES, force=force)
-        require_opengl()
-        self._simulation, self._path = simulation, path
-        step = simulation.basic_step / 1000
-        # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
-        self._every = max(1, ceil(1 / step / FRAME_RATES[path.suffix.lower()] - 1e-9))
-        self._rate = 1 / step / self._every
-        self._viewpoint = Viewpoint(simulation)
-        self._pictures: Queue[Any] = Queue(_WAITING)
-        self._writer = threading.Thread(target=self._write, daemon=True)
-        self._error: BaseException | None = None
-        self._steps = 0
+    def draw_if_due() -> None:
+        if next(steps) % every == 0:
+            draw()
 
-    def __enter__(self) -> VideoRecorder:
-        self._draw()
-        self._writer.start()
-        return self
-
-    def __call__(self) -> None:
-        """Draw a picture, if it is time for one."""
-        self._steps += 1
-        if self._steps % self._every == 0:
-            self._draw()
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._pictures.put(None)
-        self._writer.join()
-        if self._error is not None:
-            raise self._error
-
-    def _draw(self) -> None:
-        if self._error is None:
-            view = self._viewpoint
-            self._pictures.put(self._simulation.pictures.colors(view.now(), (WIDTH, HEIGHT), view.fov))
-
-    def _write(self) -> None:
-        write = write_gif if self._path.suffix.lower() == ".gif" else write_mp4
-        try:
-            with atomic_write(self._path) as draft:
-                write(draft, self._taken(), self._rate)
-        except Exception as error:  # noqa: BLE001  # raised in the thread of the run
-            self._error = error
-            # Taken on, so that the thread of the run does not wait for room in the queue.
-            for _ in self._taken():
-                continue
-
-    def _taken(self) -> Iterator[Any]:
-        while (picture := self._pictures.get()) is not None:
+    def taken() -> Iterator[Any]:
+        while (picture := pictures.get()) is not None:
             yield picture
+
+    def write() -> None:
+        try:
+            with atomic_write(path) as draft:
+                (write_gif if suffix == ".gif" else write_mp4)(draft, taken(), 1 / step / every)
+        except BaseException:
+            deque(taken(), 0)  # so that the thread of the run does not wait for room in the queue
+            raise
+
+    with ThreadPoolExecutor(1) as pool:
+        draw()
+        written = pool.submit(write)
+        try:
+            yield draw_if_due
+        finally:
+            pictures.put(None)
+        written.result()

@@ -80,16 +80,18 @@ class Controller:
 @dataclass(frozen=True)
 class Outcome:
     """How a run of a world ended: the exit code, the simulated time (s), and a sentence for each thing that
-    went wrong."""
+    went wrong.
+
+    `controllers` has robot, exit code and number of steps of each controller. `is_stuck` says that one still
+    runs that only the end of the process ends.
+    """
 
     exit_code: int
     seconds: float
     steps: int
     problems: tuple[str, ...]
     controllers: tuple[tuple[str, int, int], ...] = ()
-    """Robot, exit code and number of steps of each controller."""
     is_stuck: bool = False
-    """Whether a controller still runs that only the end of the process ends."""
 
 
 class Runner:

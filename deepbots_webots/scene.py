@@ -223,11 +223,11 @@ class Contact:
 class Scene:
     """The bodies, robots and settings of a world.
 
-    `root` is a group with the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in ms,
-    `gravity` in m/s^2, and `damping` is that of bodies without their own. `directions` are those to the east,
-    north and up. `attachments` maps each node with a pose to its body and its frame in the body, and
-    `outer_frames` nodes with a pose outside of bodies to their frame in the world. `parents` maps each node to
-    the node above it.
+    `root` is a group with the top nodes of the file, `seed` is that of all random numbers; `basic_step` is in
+    ms, `gravity` in m/s^2, and `damping` is that of bodies without their own. `directions` are those to the
+    east, north and up. `attachments` maps each node with a pose to its body and its frame in the body, and
+    `outer_frames` nodes with a pose outside of bodies to their frame in the world. `parents` maps each node
+    to the node above it.
     """
 
     root: Node
@@ -721,7 +721,10 @@ _ADDERS: Mapping[str, Callable[[_Builder, Node, _Site], None]] = {
 
 def _damping(node: Node, field: str) -> tuple[float, float] | None:
     damping = child(node, field)
-    return None if damping is None else (number(damping, "linear"), number(damping, "angular"))
+    if damping is None:
+        return None
+    linear, angular = (min(max(number(damping, name), 0.0), 1.0) for name in ("linear", "angular"))
+    return linear, angular
 
 
 def _too_many(node: Node, limit: str) -> WorldError:

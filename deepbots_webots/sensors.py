@@ -20,7 +20,7 @@ from deepbots_cli import frames
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
-from deepbots_webots.scene import AXES, NORTH, UP, Visual
+from deepbots_webots.scene import AXES, NORTH, UP
 from deepbots_webots.scene import Device as Spec
 from deepbots_webots.shapes import compose
 
@@ -417,7 +417,7 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
         physics = self._simulation.physics
         directions = [frames.rotate(rotation, direction) for direction in self._directions]
         reach = self._reach or 1e3
-        hits = physics.rays.cast(start, directions, reach, self._spec.body.robot)
+        hits = physics.cast(start, directions, reach, self._spec.body.robot)
         if self._type in ("sonar", "laser"):
             return min(
                 reach if self._type == "sonar" and cosine < SONAR_CONE else distance
@@ -502,29 +502,24 @@ class LightSensor(ScalarSensor, HasLookupTable):
 
     def _irradiance(self) -> float:
         """Return the mean over the colors of the light that arrives, through the color filter."""
-        node = self._spec.node
+        node, physics = self._spec.node, self._simulation.physics
         position, rotation = self._frame()
         normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
         total = 0.0
         for light in self._simulation.scene.lights:
             if not boolean(light.node, "on"):
                 continue
-            beam = _beam(light, self._frame_of(light), position)
+            frame = light.frame if light.body is None else physics.frame(light.body, light.frame)
+            beam = _beam(light.node, frame, position)
             direct = (
                 number(light.node, "intensity") * max(0.0, frames.dot(normal, beam.direction)) * beam.spot
             )
-            if direct and boolean(node, "occlusion") and self._is_hidden(position, beam):
-                direct = 0.0
+            if direct and boolean(node, "occlusion"):
+                hits = physics.cast(position, [beam.direction], beam.distance, self._spec.body.robot)
+                direct *= hits[0][1] < 0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
             total += beam.attenuation * (_ambient(light.node) + direct) * color
         return total
-
-    def _frame_of(self, light: Visual) -> Frame:
-        return light.frame if light.body is None else self._simulation.physics.frame(light.body, light.frame)
-
-    def _is_hidden(self, position: Triple, beam: _Beam) -> bool:
-        rays, robot = self._simulation.physics.rays, self._spec.body.robot
-        return rays.cast(position, [beam.direction], beam.distance, robot)[0][1] >= 0
 
 
 def _ambient(light: Node) -> float:
@@ -535,9 +530,8 @@ def _ambient(light: Node) -> float:
     return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
-def _beam(light: Visual, frame: Frame, position: Triple) -> _Beam:
+def _beam(node: Node, frame: Frame, position: Triple) -> _Beam:
     """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
-    node = light.node
     if node.type == "DirectionalLight":
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
         return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)

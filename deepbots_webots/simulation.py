@@ -68,7 +68,15 @@ class Packet:
 
 
 class Simulation:
-    """A world that runs. Times are in ms."""
+    """A world that runs. Times are in ms.
+
+    `ticks` is the time since the start, `time` that since the last reset, and `physics_seconds` the CPU time
+    of the physics (s). `current` is the robot whose controller runs now. `wait` is what a controller's step
+    of some ms does; it returns -1 at the end of the simulation. `objects` are those of the devices that
+    controllers asked for, and `states` those that supervisors saved, by name. `held_keys` returns the codes
+    of the keys that a person holds, the newest first; it is None without a page. `reset_is_due` says that the
+    world is reset at the end of the next basic time step. `on_change` is called after nodes came or went.
+    """
 
     def __init__(self, scene: Scene, span: Span) -> None:
         """Build the world.
@@ -81,28 +89,19 @@ class Simulation:
         self.physics = Physics(scene, span)
         self.basic_step = scene.basic_step
         self.ticks = self.time = 0
-        """The time since the start, and since the last reset."""
         self.random = random.Random(scene.seed)
         self.current: Robot | None = None
-        """The robot whose controller runs now."""
         self.quit_status: int | None = None
         self.custom_data: dict[Node, str] = {}
         self.physics_seconds = 0.0
-        """The CPU time that the physics took."""
         self.wait: Callable[[Robot, int], int] = self._advance_alone
-        """What a controller's step of some ms does; it returns -1 at the end of the simulation."""
         self.objects: dict[Device, DeviceObject] = {}
-        """The objects of devices that controllers asked for."""
         self.states: dict[str, Any] = {}
-        """The states that supervisors saved, by name."""
         self.held_keys: Callable[[], Sequence[int]] | None = None
-        """Returns the codes of the keys that a person holds, the newest first; None without a page."""
         self._outbox: list[Packet] = []
         self._sensors: list[Sampled] = []
         self.reset_is_due = False
-        """Whether the world is reset at the end of the next basic time step."""
         self.on_change: list[Callable[[], None]] = []
-        """Called after nodes came or went."""
         self._begin(scene.robots)
 
     def _begin(self, robots: Iterable[Robot]) -> None:
@@ -203,7 +202,11 @@ MAX_DELAY_S = 0.1
 
 
 class Pace:
-    """The pace of a world. Any thread may change it while the world waits."""
+    """The pace of a world. Any thread may change it while the world waits.
+
+    `on_pause` is called in the thread of the world before it stands still. `wants_restart` says that the run
+    is to end, and to start again.
+    """
 
     def __init__(self, simulation: Simulation, *, is_fast: bool) -> None:
         """Let the world run from now on: as fast as it can if `is_fast`, else at the pace of a clock."""
@@ -211,9 +214,7 @@ class Pace:
         self._changed = threading.Condition()
         self._single_steps = 0
         self.on_pause: Callable[[], None] = lambda: None
-        """Called in the thread of the world before it stands still."""
         self.wants_restart = False
-        """Whether the run is to end, and to start again."""
         self.run(is_fast=is_fast)
 
     def run(self, *, is_fast: bool) -> None:

@@ -10,7 +10,19 @@ from typing import Any
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import axis_angle, parameters, real, size_of, turned_about, value_of, walk
+from deepbots_webots.nodes import (
+    axis_angle,
+    boolean,
+    number,
+    numbers,
+    parameters,
+    real,
+    size_of,
+    text,
+    turned_about,
+    value_of,
+    walk,
+)
 from deepbots_webots.project import nodes_of_text
 from deepbots_webots.scene import AXES, Body, Joint, add_nodes, remove_node
 from deepbots_webots.sensors import NotImplementedCallError, missing_attribute, returns
@@ -258,6 +270,8 @@ class Field:
     def __init__(self, simulation: Simulation, node: Written, name: str) -> None:
         self._simulation, self._name = simulation, name
         self._node, self._real = node, real(node)
+        self._owner = self._real if name in parameters(self._real) else node
+        """The node that has the value: that which a PROTO node stands for, where both have the field."""
 
     def __getattr__(self, name: str) -> Any:
         raise missing_attribute(type(self), name)
@@ -265,8 +279,7 @@ class Field:
     getName = returns("_name")
 
     def getTypeName(self) -> str:
-        owner = self._node if self._name in parameters(self._node) else self._real
-        return parameters(owner)[self._name].type
+        return parameters(self._owner)[self._name].type
 
     def getType(self) -> int:
         """Return the number of the type, such as `Field.SF_FLOAT`."""
@@ -276,13 +289,8 @@ class Field:
     def getActualField(self) -> Field:
         return self
 
-    def _value(self) -> Value:
-        """Return the value as written, of the node that a PROTO node stands for where both have the field."""
-        owner = self._real if self._name in parameters(self._real) else self._node
-        return value_of(owner, self._name)
-
     def _items(self) -> list[Item]:
-        return self._value().items
+        return value_of(self._owner, self._name).items
 
     def _unset(self, function: str) -> NotImplementedCallError:
         return NotImplementedCallError(
@@ -292,7 +300,7 @@ class Field:
     # Read
 
     def getSFBool(self) -> bool:
-        return self._items()[:1] == [True]
+        return boolean(self._owner, self._name)
 
     def getSFInt32(self) -> int:
         return int(self.getSFFloat())
@@ -301,14 +309,12 @@ class Field:
         joint = self._joint()
         if joint is not None:
             return self._simulation.physics.joint_position(joint)
-        item = next(iter(self._items()), 0.0)
-        return item if isinstance(item, float) else 0.0
+        return number(self._owner, self._name)
 
     def getSFString(self) -> str:
         if self._name == "customData" and self._real in self._simulation.custom_data:
             return self._simulation.custom_data[self._real]
-        item = next(iter(self._items()), "")
-        return item if isinstance(item, str) else ""
+        return text(self._owner, self._name)
 
     def getSFVec2f(self) -> list[float]:
         return self._numbers()[:2]
@@ -344,7 +350,7 @@ class Field:
     getMFRotation = _gets_numbers(4)
 
     def _numbers(self) -> list[float]:
-        return [item for item in self._items() if isinstance(item, float)]
+        return numbers(self._owner, self._name)
 
     def _joint(self) -> Joint | None:
         if self._name not in _JOINT_POSITIONS:
@@ -487,9 +493,8 @@ class Field:
 
     def _keep(self, items: Sequence[Item]) -> None:
         """Write the value into the node."""
-        owner = self._real if self._name in parameters(self._real) else self._node
-        before = self._value()
-        owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
+        before = value_of(self._owner, self._name)
+        self._owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
 
 
 _JOINT_POSITIONS = ("position", "position2", "position3")
@@ -515,10 +520,8 @@ def _padded(values: Sequence[float], size: int) -> list[float]:
 
 
 def number_of(simulation: Simulation, node: Written) -> int:
-    for number, candidate in enumerate(walk(simulation.scene.nodes), 1):
-        if real(candidate) is real(node):
-            return number
-    return 0
+    numbered = enumerate(walk(simulation.scene.nodes), 1)
+    return next((at for at, candidate in numbered if real(candidate) is real(node)), 0)
 
 
 def _matrix(frame: Frame) -> list[float]:

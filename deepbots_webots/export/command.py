@@ -1,5 +1,5 @@
-"""`deepbots export --to webots`: the files of a project of Webots, and the gaps: what Webots lacks, and what differs
-there."""
+"""`deepbots export --to webots`: the files of a project of Webots, and the gaps: what Webots lacks, and what
+differs there."""
 
 from __future__ import annotations
 
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
+_ON_POLICY = ("PPO", "A2C")
 _LEFT_OUT = ("replay", "normalize", "teacher", "patience", "symmetry", "self_play")
 """What a training may have, and `train.py` has not."""
 
@@ -131,6 +132,12 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     _require_none(compiled.program, gaps)
     if left_out := _left_out(project):
         gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
+    training = project.training
+    if training.environments > 1 and training.algorithm in _ON_POLICY:
+        gaps.differ(
+            f"`train.py` trains in one world instead of {training.environments}, so each update of"
+            f" {training.algorithm} has 1/{training.environments} of the steps."
+        )
     remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
     return WebotsProject(compiled, project, remotes, gaps, starts)
 

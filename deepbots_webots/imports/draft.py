@@ -104,12 +104,12 @@ class Normalized:
 
 @dataclass(eq=False)
 class Controller:
-    """A class derived from one of deepbots, with the methods of its bases in the project."""
+    """A class derived from one of deepbots, with the methods of its bases in the project; `nodes` are the
+    class and these bases."""
 
     name: str
     modules: Sequence[Module]
     nodes: list[ast.ClassDef] = field(default_factory=list)
-    """The class, and its bases in the project."""
     methods: dict[str, tuple[Module, ast.FunctionDef]] = field(default_factory=dict)
 
     def quote(self, method: str, about: str) -> Quote:
@@ -378,23 +378,23 @@ def _distance(node: Node, mount: str) -> str | None:
 
 @dataclass
 class DraftRobot:
-    """A robot of the scenario: its model, and the entries of its section as pairs of name and YAML."""
+    """A robot of the scenario: its model, and the entries of its section as pairs of name and YAML.
+
+    `controller` is its class of deepbots, if it has one. `unused` are sensors that the project does not name,
+    and `left_out` devices that measure and have no counterpart. `readings` are names of sensors by the names
+    of devices, and `motors` have their joint and their highest speed.
+    """
 
     name: str
     parts: RobotParts
     robot: Robot | None
     built: Built
     controller: Controller | None = None
-    """Its class of deepbots, if it has one."""
     sensors: dict[str, str] = field(default_factory=dict)
     unused: dict[str, str] = field(default_factory=dict)
-    """The sensors that the project does not name."""
     left_out: list[str] = field(default_factory=list)
-    """The devices that measure, and for which deepbots has no such sensor."""
     readings: dict[str, str] = field(default_factory=dict)
-    """Names of sensors by the names of devices."""
     motors: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """The joints of motors, and their highest speeds."""
 
     def add_devices(self, texts: set[str]) -> None:
         """Add the sensors and motors for the devices of the robot; `texts` are those of the project."""
@@ -414,7 +414,8 @@ class DraftRobot:
 
 @dataclass
 class Draft:
-    """A project in parts. `agent` is the robot that the policy drives, `judge` the class that scores it."""
+    """A project in parts. `agent` is the robot that the policy drives, `judge` the class that scores it, and
+    `bodies` is how expressions name the nodes that the controllers name."""
 
     world_file: str
     surroundings: Surroundings
@@ -423,7 +424,6 @@ class Draft:
     judge: Controller | None
     has_messages: bool
     bodies: dict[str, str]
-    """How expressions name the nodes that the controllers name."""
     findings: WorldFindings
 
     def names(self) -> list[str]:
@@ -504,8 +504,7 @@ def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:
     for robot, program in programs(world.files, scene.robots):
         span = robot.node.span
         if program.remark:
-            text = f"the controller '{program.name}' of '{robot.name}' {program.remark}"
-            world.findings.warning(span, text)
+            world.findings.warning(span, program.remark)
         if program.path is not None:
             modules[robot.index] = read_modules(world.files, program.path, span, world.findings)
     return modules

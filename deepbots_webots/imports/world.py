@@ -88,14 +88,13 @@ class Built:
 
 @dataclass
 class RobotParts:
-    """The bodies of one robot, and names for its links and joints."""
+    """The bodies of one robot. `links` are names of links by solid, of bodies and of solids fixed to them,
+    and `joints` names of joints by `id` of the joint of the scene."""
 
     name: str
     bodies: list[Body]
     links: dict[Node, str]
-    """Names of links by solid: of bodies, and of solids fixed to them."""
     joints: dict[int, str]
-    """Names of joints by `id` of the joint of the scene."""
 
     @property
     def root(self) -> Body:
@@ -325,14 +324,13 @@ LARGEST_SUBSTEP = 8  # ms; the largest at which physics is within 1 % of its clo
 
 @dataclass
 class Surroundings:
-    """Entries of `world` and `objects` as pairs of key and YAML text, and what has no counterpart."""
+    """Entries of `world` and `objects` as pairs of key and YAML text. `pictures` are the PNG files that they
+    name, and `left_out` locations and sentences about parts of the world without a counterpart."""
 
     world: list[tuple[str, str]] = field(default_factory=list)
     objects: dict[str, str] = field(default_factory=dict)
     pictures: dict[str, bytes] = field(default_factory=dict)
-    """PNG files that the entries name."""
     left_out: list[tuple[str, str]] = field(default_factory=list)
-    """Locations and sentences about parts of the world without a counterpart."""
 
 
 def surroundings(

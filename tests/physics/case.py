@@ -1,8 +1,8 @@
 """A case of the table: a small world, what is read of it in an engine, and the number of its closed form.
 
-Worlds are models (`opened`) or texts of scenarios (`trial`). The engine `batch` is the second of two worlds of
-a MuJoCo batch, and `webots` a world of Webots in MuJoCo with the same objects; `webots-NUE` is another with these
-axes.
+Worlds are models (`opened`) or texts of scenarios (`trial`). The engine `batch` is the second of two worlds
+of a MuJoCo batch, and `webots` a world of Webots in MuJoCo with the same objects; `webots-NUE` is another
+with these axes.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def measured(case: Case, engine: str) -> dict[str, float]:
 
 
 class WebotsEngine:
-    """The objects and the ground of a world as a world of Webots: the methods of the port that cases need, with
-    vectors to the east, north and up."""
+    """The objects and the ground of a world as a world of Webots: the methods of the port that cases need,
+    with vectors to the east, north and up."""
 
     def __init__(self, world: WorldModel, engine: str) -> None:
         project: Any = SimpleNamespace(

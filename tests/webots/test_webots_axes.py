@@ -105,14 +105,6 @@ def test_a_body_rests_on_the_ground_of_its_world(release: str, info: str, text: 
     assert place(simulation) == pytest.approx(rests, abs=2e-3)
 
 
-def test_an_old_wheel_rolls_as_far_as_it_turns():
-    wheel = "Pose { rotation 1 0 0 1.5707963 children [ Cylinder { radius 0.1 height 0.05 } ] }"
-    fields = "translation 0 0.1 0 linearVelocity 1 0 0 angularVelocity 0 0 -10"
-    simulation = simulate(FLOOR + solid(wheel, fields))
-    run(simulation, 1)
-    assert place(simulation) == pytest.approx([1, 0.1, 0], rel=0.01, abs=1e-3)
-
-
 WALL = "Solid { translation 0 0 -2 boundingObject Box { size 4 4 2 } }"
 TURNED = "rotation 0 1 0 0.3"
 

@@ -13,7 +13,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from deepbots_webots.sensors import NotImplementedCallError
 from tests.webots.exported_projects import (
     FLOOR,
     ROD_INERTIA,
@@ -547,32 +546,6 @@ def test_messages_keep_their_order():
         "1",
         3,
     ]
-
-
-# What is missing
-
-
-@pytest.mark.parametrize(
-    ("node_name", "name", "call"),
-    [
-        ("Camera", "camera", "enableRecognitionSegmentation"),
-        ("Pen", "pen", "write"),
-        ("Speaker", "speaker", "getEngine"),
-        ("Display", "display", "imageNew"),
-    ],
-)
-def test_a_function_that_is_missing_says_so_by_name(node_name: str, name: str, call: str):
-    thing = device(simulate(robot(f"{node_name} {{ }}")), name)
-    with pytest.raises(NotImplementedCallError, match=rf"^{node_name}\.{call} is not implemented$"):
-        getattr(thing, call)
-
-
-def test_a_function_that_webots_does_not_have_gets_a_suggestion():
-    motor = device(simulate(hinge(devices="RotationalMotor { }")), "rotational motor")
-    with pytest.raises(
-        AttributeError, match=r"'Motor' has no attribute 'setPositon'; did you mean 'setPosition'"
-    ):
-        motor.setPositon(1)
 
 
 def test_a_solid_name_is_free_to_repeat():

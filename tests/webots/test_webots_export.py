@@ -220,23 +220,34 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
 
 
 @pytest.mark.parametrize(
-    ("settings", "algorithm", "left_out"),
+    ("settings", "algorithm", "differs"),
     [
-        ("{algorithm: DQN, total_timesteps: 1000}", "DQN", ""),
-        ("{algorithm: PPO, total_timesteps: 1000, normalize: reward}", "PPO", "`normalize`"),
+        ("{algorithm: DQN, total_timesteps: 1000}", "DQN", []),
+        (
+            "{algorithm: PPO, total_timesteps: 1000, normalize: reward}",
+            "PPO",
+            ["leaves out `normalize`"],
+        ),
         (
             "{algorithm: RecurrentPPO, total_timesteps: 1000}",
             "PPO",
-            "`algorithm: RecurrentPPO` with its settings",
+            ["leaves out `algorithm: RecurrentPPO` with its settings"],
+        ),
+        (
+            "{algorithm: PPO, total_timesteps: 1000, environments: 8}",
+            "PPO",
+            ["trains in one world instead of 8, so each update of PPO has 1/8 of the steps"],
         ),
     ],
 )
-def test_the_training_is_that_of_the_scenario(settings: str, algorithm: str, left_out: str, tmp_path: Path):
+def test_the_training_is_that_of_the_scenario(
+    settings: str, algorithm: str, differs: list[str], tmp_path: Path
+):
     prepared = exported("cartpole", tmp_path, f"train={settings}")
     assert prepared.project.training.algorithm == algorithm
     assert f'"{algorithm}"' in (tmp_path / "controllers/supervisor/supervisor.py").read_text()
     readme = (tmp_path / "README.md").read_text()
-    assert re.findall("`train.py` leaves out (.*)[.]", readme) == [left_out] * bool(left_out)
+    assert re.findall("`train.py` ((?:leaves out|trains in one) .*)[.]", readme) == differs
 
 
 def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):

@@ -346,7 +346,7 @@ def test_an_elevation_grid_begins_at_its_origin():
     grid = "ElevationGrid { xDimension 3 yDimension 2 xSpacing 1 ySpacing 2 height [ 0 0.5 1, 0 0.5 1 ] }"
     simulation = simulate(f"Solid {{ translation 1 0 0 boundingObject {grid} }}")
     for x, height in ((1.5, 0.25), (2.0, 0.5), (2.8, 0.9)):
-        distance = simulation.physics.rays.cast((x, 1.0, 5.0), [(0.0, 0.0, -1.0)], 10, None)[0][0]
+        distance = simulation.physics.cast((x, 1.0, 5.0), [(0.0, 0.0, -1.0)], 10, None)[0][0]
         assert 5 - distance == pytest.approx(height, abs=1e-3)
 
 
@@ -694,13 +694,6 @@ def test_a_node_with_an_error_does_not_come_in(capsys, text: str, message: str):
     assert error.startswith("Error: Field.importMFNodeFromString: ")
     assert (message in error, field.getCount(), it.getFromDef("NEW")) == (True, count, None), error
     it.step(80)
-
-
-def test_physics_are_stopped():
-    it = supervisor()
-    it.step(80)
-    it.simulationResetPhysics()
-    assert it.getFromDef("BALL").getVelocity() == [0.0] * 6
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from deepbots_cli.engines.mujoco import cameras
 from deepbots_cli.errors import UsageError
 from deepbots_webots import supervisor
 from deepbots_webots.command import check_world
-from deepbots_webots.rendering import VideoRecorder
+from deepbots_webots.rendering import video
 from deepbots_webots.supervisor import Keyboard
 from tests.webots.exported_projects import HEADER, ROOT, simulate
 
@@ -480,8 +480,9 @@ def test_a_keyboard_says_that_it_has_no_keys(capsys):
 @pytest.mark.parametrize("name", ["run.avi", "taken.gif"])
 def test_a_video_has_a_known_suffix_and_replaces_no_file(project: Project, name: str):
     (project.folder / "taken.gif").write_bytes(b"")
-    with pytest.raises(UsageError, match=r"must end in \.mp4 or \.gif|exists"):
-        VideoRecorder(simulate("Solid { }"), project.folder / name)
+    recorded = video(simulate("Solid { }"), project.folder / name)
+    with pytest.raises(UsageError, match=r"must end in \.mp4 or \.gif|exists"), recorded:
+        pass
 
 
 @pytest.mark.slow
@@ -510,7 +511,7 @@ def test_a_run_is_recorded_while_two_controllers_use_cameras(project: Project):
         )
     ran = project.run("--record", "run.gif")
     assert sorted(ran.out.splitlines()) == ["[boss] True [0, 0, 0]", "[cart] True [0, 0, 0]"]
-    with Image.open(project.folder / "run.gif") as video:
-        assert (video.size, video.n_frames) == ((640, 480), 3)
-        picture = video.convert("RGB")
+    with Image.open(project.folder / "run.gif") as clip:
+        assert (clip.size, clip.n_frames) == ((640, 480), 3)
+        picture = clip.convert("RGB")
         assert picture.getpixel((320, 240))[0] > 100 > picture.getpixel((20, 20))[0]

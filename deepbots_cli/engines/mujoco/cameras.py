@@ -42,11 +42,11 @@ UNAVAILABLE_MESSAGE = (
 )
 
 
-_OPEN_RENDERERS: WeakSet[WorldRenderer] = WeakSet()
+OPEN_RENDERERS: WeakSet[Any] = WeakSet()  # closed at the end of the process
 
 
 def _close_all() -> None:
-    for pictures in tuple(_OPEN_RENDERERS):  # a weak set may shrink during iteration
+    for pictures in tuple(OPEN_RENDERERS):  # a weak set may shrink during iteration
         pictures.close()
 
 
@@ -90,7 +90,7 @@ class WorldRenderer:
         self._state = state
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
-        _OPEN_RENDERERS.add(self)
+        OPEN_RENDERERS.add(self)
 
     def close(self) -> None:
         for renderer in self._renderers.values():
