@@ -103,7 +103,9 @@ class Files:
                 raise UsageError(
                     f"{path} cannot be read: {(error.strerror or str(error)).lower()}"
                 ) from error
-            self._sources[path] = Source(_display_path(path), data.decode("utf-8", "replace"))
+            # Messages show a path below the working directory relative to it.
+            shown = path.relative_to(Path.cwd()) if path.is_relative_to(Path.cwd()) else path
+            self._sources[path] = Source(str(shown), data.decode("utf-8", "replace"))
         return self._sources[path]
 
     def proto(self, name: str, address: str, writer: str) -> Path | None:
@@ -127,12 +129,6 @@ class Files:
         copies = [folder / _LIBRARY_FOLDER / tail for folder in self.library if folder_name]
         candidates = (*beside, *own, *copies, *in_library)
         return next((path for path in candidates if is_file(path) and self.allows(path)), None)
-
-
-def _display_path(path: Path) -> str:
-    """Return a path as messages show it: relative to the working directory if it is below it."""
-    working_directory = Path.cwd()
-    return str(path.relative_to(working_directory)) if path.is_relative_to(working_directory) else str(path)
 
 
 @dataclass

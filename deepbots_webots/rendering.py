@@ -227,6 +227,10 @@ class _VisualModel:
 # Video
 
 
+# From 3 m, to the origin, for a world without a viewpoint.
+_OVERVIEW: Frame = ((-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0))
+
+
 class Viewpoint:
     """The Viewpoint node of a world: where it is, and what it follows."""
 
@@ -234,7 +238,7 @@ class Viewpoint:
         self._simulation = simulation
         nodes = simulation.scene.nodes
         node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
-        self.fov, self.frame, self._followed = 0.785, _overview(), None
+        self.fov, self.frame, self._followed = 0.785, _OVERVIEW, None
         """The horizontal field of view (rad), and the frame at the start."""
         if node is not None:
             self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
@@ -255,11 +259,6 @@ class Viewpoint:
         if self._followed is None:
             return 0.0, 0.0, 0.0
         return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
-
-
-def _overview() -> Frame:
-    """Return a frame that looks at the origin from 3 m, for a world without a viewpoint."""
-    return (-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0)
 
 
 SUFFIXES = (".mp4", ".gif")

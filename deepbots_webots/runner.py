@@ -72,10 +72,6 @@ class Controller:
     steps_after_end: int = 0
     exit_code: int = 0
 
-    @property
-    def name(self) -> str:
-        return self.robot.name
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -182,7 +178,7 @@ class Runner:
         # Locked before the thread starts, so that the thread waits until it gets the turn.
         controller.turn.acquire()
         controller.thread = threading.Thread(
-            target=self._work, args=(controller,), daemon=True, name=controller.name
+            target=self._work, args=(controller,), daemon=True, name=controller.robot.name
         )
         controller.thread.start()
 
@@ -205,7 +201,7 @@ class Runner:
             if self._progress != last_progress or self._pace.is_paused:
                 last_progress, since = self._progress, time.monotonic()
             elif time.monotonic() - since >= timeout:
-                name = self._current.name if self._current is not None else "?"
+                name = self._current.robot.name if self._current is not None else "?"
                 self._problems.append(f"the controller of '{name}' made no step for {timeout:g} s")
                 self.is_over = True
                 self._everything_ended.wait(GRACE_S)
@@ -218,7 +214,7 @@ class Runner:
         stuck = [controller for controller in self.controllers if not controller.has_ended]
         seconds, steps = simulation.ticks / 1000, simulation.ticks // simulation.basic_step
         ends = tuple(
-            (controller.name, controller.exit_code, controller.steps) for controller in self.controllers
+            (controller.robot.name, controller.exit_code, controller.steps) for controller in self.controllers
         )
         return Outcome(code, seconds, steps, tuple(self._problems), ends, bool(stuck))
 
@@ -259,7 +255,7 @@ class Runner:
                 sys.modules["__main__"] = main
 
     def _speaker(self) -> str:
-        return self._current.name if self._current is not None else ""
+        return self._current.robot.name if self._current is not None else ""
 
     # The threads of controllers
 
@@ -273,7 +269,7 @@ class Runner:
         except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
             controller.exit_code = 1
             _print_traceback(error)
-            self._problems.append(f"the controller of '{controller.name}' failed: {_described(error)}")
+            self._problems.append(f"the controller of '{controller.robot.name}' failed: {_described(error)}")
             self.is_over = True
         controller.has_ended = True
         self._end(controller)
@@ -294,7 +290,7 @@ class Runner:
             return
         if not self.is_over:
             code = f" with exit code {controller.exit_code}" if controller.exit_code else ""
-            self._errors.write(f"the controller of '{controller.name}' ended{code}; the others go on\n")
+            self._errors.write(f"the controller of '{controller.robot.name}' ended{code}; the others go on\n")
         self._pass_on(controller)
 
     def _wait(self, robot: Robot, period: int) -> int:

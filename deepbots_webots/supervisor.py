@@ -11,7 +11,6 @@ from deepbots_webots.nodes import text, texts, walk
 from deepbots_webots.scene import DEVICES
 from deepbots_webots.sensors import Sampled, missing_attribute, returns
 from deepbots_webots.simulation import Simulation
-from deepbots_webots.syntax import Node as Written
 from deepbots_webots.tree import Node, number_of
 
 _ACTIVE: list[Simulation] = []
@@ -155,22 +154,15 @@ class Supervisor(Robot):
 
     def getFromDef(self, name: str) -> Node | None:
         """Return the node of a DEF name, or of a path of DEF names with dots between them."""
-        nodes = self._webots_simulation.scene.nodes
-        match: Written | None = None
+        match = self._webots_simulation.scene.root
         for def_name in name.split("."):
             # `walk` yields the node itself first, which is not a part of itself.
-            match = next(
-                (
-                    node
-                    for node in walk(nodes)  # none of the body of a PROTO
-                    if node.name == def_name and node is not match and not node.is_internal
-                ),
-                None,
-            )
-            if match is None:
+            inner = (node for node in walk([match]) if node is not match and not node.is_internal)
+            found = next((node for node in inner if node.name == def_name), None)
+            if found is None:
                 return None
-            nodes = [match]
-        return None if match is None else Node(self._webots_simulation, match)
+            match = found
+        return Node(self._webots_simulation, match)
 
     def getFromId(self, id: int) -> Node | None:
         for node in walk(self._webots_simulation.scene.nodes):

@@ -277,10 +277,20 @@ class Project:
 
     @property
     def training(self) -> Training:
-        """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3."""
-        agent = self.program.agent
-        if agent.training is not None and agent.training.algorithm in LEARNERS:
-            return replace(agent.training, replay=None)
+        """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3.
+
+        An update has as many steps in the one world of Webots as in all worlds of the scenario: with 64 instead
+        of 512, the return of CartPole is 124 instead of 185 of 200 after 28,700 steps.
+        """
+        agent, training = self.program.agent, self.program.agent.training
+        if training is not None and training.algorithm in LEARNERS:
+            settings = tuple(
+                replace(each, value=each.value * training.environments)
+                if each.name == "n_steps" and isinstance(each.value, int)
+                else each
+                for each in training.hyperparameters
+            )
+            return replace(training, replay=None, hyperparameters=settings)
         return Training("PPO" if agent.choices else "SAC", 100_000)
 
     @property

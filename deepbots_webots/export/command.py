@@ -135,8 +135,8 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     training = project.training
     if training.environments > 1 and training.algorithm in _ON_POLICY:
         gaps.differ(
-            f"`train.py` trains in one world instead of {training.environments}, so each update of"
-            f" {training.algorithm} has 1/{training.environments} of the steps."
+            f"`train.py` trains in one world instead of {training.environments}, with as many steps in each"
+            " update."
         )
     remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
     return WebotsProject(compiled, project, remotes, gaps, starts)

@@ -231,7 +231,7 @@ class WorldWriter:
                     Friction(lateral=ground.friction, restitution=ground.restitution)
                 ),
                 children=[_shape(plane, ground.color or GROUND_COLOR)],
-                boundingObject=node("Plane", size=(size, size)),
+                boundingObject=plane,
             )
 
     def _relief(self, terrain: Terrain) -> NodeText:
@@ -241,25 +241,22 @@ class WorldWriter:
         rows, columns = grid.heights.shape
         along_x, along_y = grid.cell
         heights = [NodeText(_value(row)) for row in map(tuple, grid.heights.tolist())]
-
-        def relief() -> NodeText:
-            return node(
-                "ElevationGrid",
-                height=heights,
-                xDimension=columns,
-                yDimension=rows,
-                xSpacing=along_x,
-                ySpacing=along_y,
-            )
-
+        relief = node(
+            "ElevationGrid",
+            height=heights,
+            xDimension=columns,
+            yDimension=rows,
+            xSpacing=along_x,
+            ySpacing=along_y,
+        )
         return node(
             "Solid",
             "GROUND",
             translation=(-grid.size[0] / 2, -grid.size[1] / 2, 0.0),
             name="ground",
             contactMaterial=self.material(Friction(lateral=terrain.friction)),
-            children=[_shape(relief(), terrain.color or GROUND_COLOR)],
-            boundingObject=relief(),
+            children=[_shape(relief, terrain.color or GROUND_COLOR)],
+            boundingObject=relief,
         )
 
     def _supervisor(self, controller: str) -> NodeText:

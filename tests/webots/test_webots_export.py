@@ -13,6 +13,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import UsageError
+from deepbots_webots.bridge.project import load_project
 from deepbots_webots.nodes import walk
 from deepbots_webots.project import read_world
 from deepbots_webots.scene import build_scene
@@ -234,9 +235,9 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
             ["leaves out `algorithm: RecurrentPPO` with its settings"],
         ),
         (
-            "{algorithm: PPO, total_timesteps: 1000, environments: 8}",
+            "{algorithm: PPO, total_timesteps: 1000, environments: 8, n_steps: 64}",
             "PPO",
-            ["trains in one world instead of 8, so each update of PPO has 1/8 of the steps"],
+            ["trains in one world instead of 8, with as many steps in each update"],
         ),
     ],
 )
@@ -248,6 +249,9 @@ def test_the_training_is_that_of_the_scenario(
     assert f'"{algorithm}"' in (tmp_path / "controllers/supervisor/supervisor.py").read_text()
     readme = (tmp_path / "README.md").read_text()
     assert re.findall("`train.py` ((?:leaves out|trains in one) .*)[.]", readme) == differs
+    training = load_project(tmp_path / "scenario").training
+    n_steps = [each.value for each in training.hyperparameters if each.name == "n_steps"]
+    assert n_steps == [512] * ("n_steps" in settings)
 
 
 def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):
