@@ -162,6 +162,6 @@ def _next_command(evidence: TrainingEvidence, statement: Statement) -> str:
         run=path,
         path=statement.evidence.get("path"),
         scenario=evidence.scenario_argument,
-        earlier=shell_word(statement.evidence.get("earlier")),
+        earlier=shell_word(statement.evidence.get("earlier", "")),
         script=statement.evidence.get("script"),
     )

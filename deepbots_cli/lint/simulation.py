@@ -16,7 +16,7 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar, get_args
+from typing import Any, Literal, NamedTuple, TypeAlias, get_args
 
 from pydantic import TypeAdapter
 
@@ -270,7 +270,6 @@ class Summary:
     tilts: Mapping[str, float] = field(default_factory=dict)
 
 
-T = TypeVar("T")
 Entry: TypeAlias = (
     Activity
     | FastestBody
@@ -301,7 +300,7 @@ def decode(line: bytes) -> Entry | None:
 
 
 @cache
-def _adapter(kind: type[T]) -> TypeAdapter[T]:
+def _adapter(kind: Any) -> TypeAdapter[Any]:
     return TypeAdapter(kind)
 
 

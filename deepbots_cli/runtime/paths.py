@@ -6,8 +6,8 @@ Both use plain floats and only the segments near by, so that the cost does not g
 `Ways` hands out readers of lengths. Each pair of bodies has a `DistanceField`, which is computed anew when
 something in it has moved. `path_lengths` fills a field.
 
-scipy's Dijkstra gives the same lengths on the same graph to 1.1e-5 m (10 000 random arenas,
-tools/benchmarks/ways.py), in 5.0 ms a field against 7.3 ms here. It is not used: the last digits of its
+scipy's Dijkstra gives the same lengths on the same graph to 1.1e-5 m (10,000 random
+arenas), in 5.0 ms a field against 7.3 ms here. It is not used: the last digits of its
 lengths differ, and with them the rewards of shipped scenarios; importing it takes another 0.2 s of CPU.
 """
 

@@ -122,7 +122,7 @@ def _list(folder: Path, *, as_json: bool) -> None:
         )
     current = next((row for row in rows if row["points"] and not _is_full(row)), None)
     following = next((row["lesson"] for row in rows if not row["points"]), 1)
-    command = f"check {shell_word(current['folder'])}" if current else f"start {following}"
+    command = f"check {shell_word(str(current['folder']))}" if current else f"start {following}"
     terminal.show(
         rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
     )

@@ -149,7 +149,9 @@ def command(
 def _show_folder(folder: Path, files: Mapping[PurePosixPath, bytes], form: Form, *, as_json: bool) -> None:
     """Print the files for another program, and for a hub how to upload them."""
     is_hub = form is Form.hub
-    upload = [f"hf upload YOUR_NAME/{shell_word(folder.resolve().name)} {shell_word(folder)}"] if is_hub else []
+    upload = (
+        [f"hf upload YOUR_NAME/{shell_word(folder.resolve().name)} {shell_word(folder)}"] if is_hub else []
+    )
     if is_hub and PurePosixPath("replay.mp4") not in files:
         terminal.note("there is no video, because this machine draws no pictures or writes no MP4")
     listing = f"{folder}: {', '.join(map(str, files))}"

@@ -554,7 +554,9 @@ def command_report(
         figure_paths = report.write_figures(figures) if figures is not None else []
     for note in report.notes:
         terminal.note(f"note: {note}")
-    figures_text = f", {len(figure_paths)} figures in {shell_word(figures)}" if figure_paths else ""
+    figures_text = (
+        f", {len(figure_paths)} figures in {shell_word(figures)}" if figures and figure_paths else ""
+    )
     data = {
         "report": target,
         "result": report.result,
