@@ -26,8 +26,6 @@ else:
         cls.__doc__ = cls.__doc__ or cls.__name__  # `dataclasses` would read a signature, for 0.5 ms
         dataclasses.dataclass(init=False, repr=False, eq=False, kw_only=kw_only)(cls)
         methods = {"__init__": _first_init(cls, frozen)}
-        if "__init__" not in own:
-            methods["__signature__"] = _Signature(cls, frozen)
         if repr:
             methods["__repr__"] = _repr
         if eq:
@@ -48,16 +46,6 @@ def _first_init(cls: Any, frozen: bool) -> Callable[..., None]:
         cls.__init__(self, *args, **kwargs)
 
     return init
-
-
-class _Signature:
-    """Compiles `__init__` for `inspect.signature`, which then finds it."""
-
-    def __init__(self, record: Any, frozen: bool) -> None:
-        self._record, self._frozen = record, frozen
-
-    def __get__(self, instance: object, cls: type) -> None:
-        self._record.__init__ = _compiled_init(self._record, self._frozen)
 
 
 def _compiled_init(cls: type, frozen: bool) -> Callable[..., None]:
@@ -83,7 +71,6 @@ def _compiled_init(cls: type, frozen: bool) -> Callable[..., None]:
     parameters = positional if len(keywords) == 1 else positional + keywords
     exec(f"def __init__({', '.join(parameters)}):\n  " + "\n  ".join(lines), names)
     init: Callable[..., None] = names["__init__"]
-    init.__annotations__ = {field.name: field.type for field in dataclasses.fields(cls) if field.init}
     return init
 
 

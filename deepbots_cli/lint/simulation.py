@@ -282,7 +282,7 @@ Entry: TypeAlias = (
     | Fault
     | Done
 )
-_KINDS: dict[str, type[Entry]] = {kind.__name__: kind for kind in get_args(Entry)}
+_KINDS: dict[str, Any] = {kind.__name__: kind for kind in get_args(Entry)}
 
 
 def encode(entry: Entry) -> bytes:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import inspect
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -121,17 +120,6 @@ class Kept:
 
     a: int
     b: str = ""
-
-
-@pytest.mark.parametrize("index", range(5))
-def test_help_names_the_arguments_of_a_class_before_its_first_instance(index: int) -> None:
-    ours, theirs = (
-        [(argument.name, argument.kind, argument.annotation) for argument in signature.parameters.values()]
-        for signature in (
-            inspect.signature(classes(decorator)[index]) for decorator in (record, dataclasses.dataclass)
-        )
-    )
-    assert ours == theirs
 
 
 def test_an_instance_survives_a_process() -> None:
