@@ -26,7 +26,7 @@ _REMEDIES = {
 
 
 Stamps = dict[Path, tuple[int, int] | None]
-"""The time of change and the size of each file, None for a missing one; they differ after a file was saved."""
+"""Time of change and size of each file, None for a missing one; they differ after a file was saved."""
 READS: ContextVar[Stamps | None] = ContextVar("reads", default=None)
 """The files that were read or looked for by functions of this module within the innermost `recorded_reads`,
 as they were before."""
@@ -45,8 +45,7 @@ def recorded_reads() -> Iterator[Stamps]:
 
 
 def _note_read(path: Path) -> None:
-    reads = READS.get()
-    if reads is not None and path not in reads:
+    if (reads := READS.get()) is not None and path not in reads:
         reads |= file_stamps([path])
 
 

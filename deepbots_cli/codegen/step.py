@@ -571,14 +571,14 @@ def _success(
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
     """Return the number of timesteps at which an episode is cut short, and the name of that limit; a step is
     cut short only by an ending."""
-    scenario = supervisor.scenario
-    limits, ticks = scenario.truncation, dict[str, int]()
+    scenario, ticks = supervisor.scenario, dict[str, int]()
+    limits = scenario.truncation
     if limits.max_steps is not None:
         ticks["max_steps"] = limits.max_steps * scenario.action_repeat
     if limits.max_time is not None:
         ticks["max_time"] = max(1, whole_timesteps(limits.max_time, scenario.world.timestep))
-    programs = (scenario, *(member.program for member in scenario.members.values()))
-    successes = {name for program in programs for name in program.agent.success}
+    of_members = (member.program.agent.success for member in scenario.members.values())
+    successes = {*scenario.agent.success}.union(*of_members)
     # Of equal limits, the name is that of a success, else `max_steps`.
     first = min(ticks, key=lambda name: (ticks[name], name not in successes), default=None)
     return None if first is None else (ticks[first], first)

@@ -31,7 +31,6 @@ from deepbots_cli.document.nodes import (
 )
 from deepbots_cli.expressions import check, parser, syntax
 from deepbots_cli.expressions.dimensions import ACCELERATION, NUMBER, Dimension
-from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.types import (
     Components,
@@ -196,7 +195,9 @@ class FieldReader:
             return self._si_values(typed, text, count)
         value = replace(text.expression(typed, per_component=per_component), owner=_owner(text, of))
         self.variations.append(RandomizedParameter(what, of, value, count))
-        return tuple(map(_middle, typed.type.intervals or (typed.type.interval,) * count))
+        intervals = typed.type.intervals or (typed.type.interval,) * count
+        ends_of_each = ([end for end in interval if math.isfinite(end)] for interval in intervals)
+        return tuple(sum(ends) / len(ends) if ends else 0.0 for ends in ends_of_each)
 
     def _is_bounded(self, typed: TypedNode, text: SourceText) -> bool:
         """Return whether a drawn value keeps the bounds of its field: a normal distribution has none."""
@@ -370,11 +371,6 @@ class FieldReader:
     def is_randomized(self, what: Randomizable, of: Owner) -> bool:
         """Return whether an episode draws this value."""
         return any((variation.what, variation.of) == (what, of) for variation in self.variations)
-
-
-def _middle(interval: Interval) -> float:
-    ends = [end for end in interval if math.isfinite(end)]
-    return sum(ends) / len(ends) if ends else 0.0
 
 
 def _owner(text: SourceText, subject: tuple[str, ...]) -> str:

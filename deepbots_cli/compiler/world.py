@@ -384,9 +384,7 @@ def _tiles(spec: terrain_spec.TileTerrain, namespace: Namespace) -> Tiles | None
 def _check_height(section: Section, key: str, height: float | None, namespace: Namespace) -> None:
     """Report a measure with which the ground is too high or too deep for an engine."""
     if height is not None and height >= _MAX_HEIGHT_M:
-        headline = f"the ground is up to {height:g} m high"
-        if key == "depth":
-            headline = f"the ground is up to {height:g} m deep"
+        headline = f"the ground is up to {height:g} m {'deep' if key == 'depth' else 'high'}"
         path = (*section.path, key) if key in section.model_fields_set else section.path
         namespace.values.add("DB105", path, headline, "write heights between -10 km and 10 km")
 
@@ -430,14 +428,11 @@ def _tile(spec: terrain_spec.Tile, namespace: Namespace) -> Tile | None:
                 return None
             (low,), (high,) = ends.low, ends.high
             if min(low, high) < 0.0:
-                span = namespace.values.span((*spec.path, key))
-                namespace.values.add("DB105", span, f"`{key}` is below 0", "write values from 0")
+                namespace.values.add("DB105", (*spec.path, key), f"`{key}` is below 0", "write values from 0")
                 return None
             if key == "angle" and max(low, high) > _MAX_SLOPE:
-                span = namespace.values.span((*spec.path, key))
-                namespace.values.add(
-                    "DB105", span, f"a slope of {math.degrees(max(low, high)):g} deg", "write at most 80 deg"
-                )
+                headline = f"a slope of {math.degrees(max(low, high)):g} deg"
+                namespace.values.add("DB105", (*spec.path, key), headline, "write at most 80 deg")
                 return None
             measures.append((key, low, high))
         else:
@@ -643,8 +638,11 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
         span = values.field(spec, "gravity").span
         downwards = f"{gravity[0]:g} {gravity[1]:g} {-gravity[2]:g} m/s^2"
         # A fix would replace a draw by a number.
-        is_randomized = namespace.fields.is_randomized("gravity", OfWorld())
-        fix = None if is_randomized else Fix((Edit(span, downwards),), safe=False)
+        fix = (
+            None
+            if namespace.fields.is_randomized("gravity", OfWorld())
+            else Fix((Edit(span, downwards),), safe=False)
+        )
         values.add("DB505", span, "gravity that pulls upwards", f"z points up: write `{downwards}`", fix=fix)
     objects = [
         body

@@ -139,12 +139,11 @@ class Policy:
 
     def named(self, action: Any) -> dict[str, float | str]:
         """Return an action by name: the chosen option of a choice, or the number in its unit."""
-        numbers = np.asarray(action).reshape(-1).tolist()
         return {
             value.name: value.options[int(number)]
             if value.options
             else value.low + (number + 1.0) / 2.0 * (value.high - value.low)
-            for value, number in zip(self.action, numbers, strict=True)
+            for value, number in zip(self.action, np.asarray(action).reshape(-1).tolist(), strict=True)
         }
 
     def __repr__(self) -> str:

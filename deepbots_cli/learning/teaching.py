@@ -166,7 +166,6 @@ class Teaching:
         name = f"the teacher {self.teacher.script}"
         if not self._is_script:
             name = f"the teacher, a {'policy' if self.demonstrations is None else 'recording'}"
-        mean = f"mean return {number_text(summary.mean_return, 3)}"
         if stage != self._stage and (self._has_stages or self._stage < 0):
             self._stage = stage
             self._imitated_until = -1
@@ -178,7 +177,10 @@ class Teaching:
             if self._is_able
             else ""
         )
-        return f"{name}: {success}{mean} in {len(episodes)} episodes{explores}"
+        return (
+            f"{name}: {success}mean return {number_text(summary.mean_return, 3)} in {len(episodes)}"
+            f" episodes{explores}"
+        )
 
     def plan(self, steps: int) -> Plan:
         """Return the plan for a fragment after `steps` timesteps."""

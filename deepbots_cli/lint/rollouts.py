@@ -294,10 +294,9 @@ class Simulator(Player):
 
     def _silent(self) -> list[int]:
         """Return the places of the terms of the reward that were always 0."""
-        indices = range(len(self._program.agent.reward))
         return [
             index
-            for index in indices
+            for index in range(len(self._program.agent.reward))
             if not any(statistics.fired[index] for statistics in self._statistics.values())
         ]
 

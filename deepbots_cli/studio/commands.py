@@ -157,7 +157,7 @@ class Tasks:
     """The tasks in a folder, the newest last."""
 
     def __init__(self, folder: Path) -> None:
-        """Read the tasks that earlier sessions have started; those beyond the newest hundred are removed."""
+        """Read the tasks that earlier sessions have started."""
         self._folder = folder
         self.all: list[Task] = []
         self._processes: list[subprocess.Popen[bytes]] = []

@@ -31,6 +31,7 @@ import stable_baselines3
 import stand_in
 import torch
 from filelock import FileLock
+from pydantic import BaseModel
 from stable_baselines3 import PPO
 
 from deepbots_cli import api
@@ -40,7 +41,13 @@ from deepbots_cli.insight.export.network import policy_graph
 from deepbots_cli.learning import TrainingResult, evaluate, learner, load_policy, resume, train
 from deepbots_cli.learning.multi_agent import has_agents
 from deepbots_cli.learning.policy import load_model
-from deepbots_cli.learning.runs.directories import new_directory, numbered_files, run_lock, write_numbered
+from deepbots_cli.learning.runs.directories import (
+    new_directory,
+    numbered_files,
+    read_json,
+    run_lock,
+    write_numbered,
+)
 from deepbots_cli.learning.runs.run import Run, steps_of
 from deepbots_cli.learning.sb3.networks import sampled_actions
 from deepbots_cli.program.task import Hyperparameter, Network, Schedule, Training
@@ -631,12 +638,24 @@ def test_the_folder_of_runs_may_not_be_a_file(tmp_path: Path) -> None:
         new_directory(None, tmp_path / "runs", "Cart Pole", 0)
 
 
-def test_an_empty_numbered_file_is_passed_over_and_never_overwritten(tmp_path: Path) -> None:
+@pytest.mark.parametrize("begin", [Path.touch, lambda path: path.symlink_to("nowhere")])
+def test_an_empty_numbered_file_or_a_broken_link_is_passed_over_and_never_overwritten(
+    tmp_path: Path, begin: Callable[[Path], None]
+) -> None:
     """It belongs to a process that writes it now, or was killed before it wrote it."""
-    (tmp_path / "0001.json").touch()
+    begin(tmp_path / "0001.json")
     assert numbered_files(tmp_path) == []
     path = write_numbered(tmp_path, "{}")
     assert (path.name, numbered_files(tmp_path)) == ("0002.json", [(2, path)])
+
+
+class Remark(BaseModel):
+    text: str
+
+
+def test_a_record_may_escape_a_quotation_mark_before_a_line_break(tmp_path: Path) -> None:
+    (tmp_path / "remark.json").write_text(r'{"text": "\u0022\u000a"}')
+    assert read_json(tmp_path / "remark.json", Remark, 100).text == r'"\u{a}'
 
 
 def test_a_lock_that_is_free_after_a_moment_is_waited_for(tmp_path: Path) -> None:

@@ -237,8 +237,9 @@ def _watch(lint_once: Callable[[], None], find_names: Callable[[], list[str]]) -
                 except DeepbotsError as error:
                     terminal.print_error(error.full_message)
             sys.stdout.flush()
-            count = sum(map(is_file, files))
-            terminal.note(f"{time.strftime('%H:%M:%S')}: watching {count} files; Ctrl-C ends it")
+            terminal.note(
+                f"{time.strftime('%H:%M:%S')}: watching {sum(map(is_file, files))} files; Ctrl-C ends it"
+            )
             while (names(), file_stamps(files)) == (linted, files):
                 time.sleep(_WATCH_INTERVAL_S)
 
@@ -260,8 +261,7 @@ def _show_statistics(findings: Sequence[Finding], *, as_json: bool) -> None:
         }
         for code, group in groups.items()
     ]
-    rows.sort(key=lambda row: str(row["code"]))
-    rows.sort(key=lambda row: int(str(row["count"])), reverse=True)
+    rows.sort(key=lambda row: (-int(str(row["count"])), str(row["code"])))
     terminal.show(rows, table(rows, indent="") if rows else "no findings", as_json=as_json)
 
 
@@ -301,8 +301,7 @@ def _fixed(
         )
     if fixer.fixed:
         verb = "would be fixed" if show else "fixed"
-        files = len(rewrites)
-        terminal.note(f"{len(fixer.fixed)} {verb} in {counted(files, 'file')}")
+        terminal.note(f"{len(fixer.fixed)} {verb} in {counted(len(rewrites), 'file')}")
     return fixer.remaining_findings, bool(rewrites)
 
 

@@ -81,7 +81,7 @@ def _with_visible_letters(match: re.Match[str]) -> str:
     if raw in ('\\"', "\\\\", "\\/"):
         return raw
     letters = json.loads(f'"{raw}"')
-    return raw if letters.isprintable() else printable(letters).replace("\\", "\\\\")
+    return raw if letters.isprintable() else json.dumps(printable(letters))[1:-1]
 
 
 _Entry = tuple[str, Any, bool]
@@ -277,11 +277,11 @@ def write_text(path: Path, text: str) -> None:
 
 def numbered_files(folder: Path) -> list[tuple[int, Path]]:
     """Return the files `0001.json`, `0002.json` ... of a folder, by number. An empty one has not been
-    written yet, or its writer was killed; it is left out."""
+    written yet, or its writer was killed; it is left out, as is a link that leads nowhere."""
     return sorted(
         (int(path.stem), path)
         for path in folder.glob("*.json")
-        if re.fullmatch("[0-9]{4,9}", path.stem) and path.stat().st_size
+        if re.fullmatch("[0-9]{4,9}", path.stem) and path.is_file() and path.stat().st_size
     )
 
 

@@ -40,10 +40,9 @@ class Commit(BaseModel):
             return None
         names = (_git(folder, "config", "-z", "--name-only", "--get-regexp", r"^filter\.") or "").split("\0")
         without_filters = [word for name in filter(None, names) for word in ("-c", f"{name}=")]
-        status = ("status", "--porcelain", "--untracked-files=no", "--ignore-submodules")
-        # `-c` cannot set a name with an equals sign, so such a filter would run: the changes stay unknown.
-        changes = None if "=" in "".join(names) else _git(folder, *without_filters, *status)
-        return cls(commit=commit, is_changed=changes != "")
+        status = [*without_filters, "status", "--porcelain", "--untracked-files=no", "--ignore-submodules"]
+        # `-c` cannot set a name with an equals sign, so such a filter would run.
+        return cls(commit=commit, is_changed="=" in "".join(names) or _git(folder, *status) != "")
 
 
 def _git(folder: Path, *arguments: str) -> str | None:
