@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import reduce
 
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
@@ -48,13 +49,10 @@ class RewardTerms:
 
     def _with_names(self, node: Scalar) -> Scalar:
         """Return a value with the name of an ending in place of its condition: `5 when abs(x) > track`."""
-        if not isinstance(node, Op):
-            return node
-        if (name := self._endings.get(self.analysis.identity(node))) is not None:
-            return name
-        args = tuple(map(self._with_names, node.args))
-        is_same = all(new is old for new, old in zip(args, node.args, strict=True))
-        return node if is_same else Op(node.op, args)
+        name = self._endings.get(self.analysis.identity(node))
+        if name is not None or not isinstance(node, Op):
+            return name or node
+        return Op(node.op, tuple(map(self._with_names, node.args)))
 
     def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
         """Return the ranges in a step after which the episode goes on."""
@@ -77,8 +75,7 @@ class RewardTerms:
         return (*self.program.endings, None)
 
     def _end_flags_at(self, ending: Expression | None, *, truncated: bool) -> dict[str, Interval]:
-        holds = {entry.name: entry is ending for entry in self.program.endings}
-        holds |= {
+        holds = {entry.name: entry is ending for entry in self.program.endings} | {
             "terminated": ending is not None,
             "truncated": truncated,
             "ended": truncated or ending is not None,
@@ -87,14 +84,13 @@ class RewardTerms:
 
     def split_by_end(self) -> tuple[Terms, Terms]:
         """Return the terms that pay in ordinary steps, and the terms that pay only when an episode ends."""
-        ordinary: Terms = []
-        final: Terms = []
-        for term, node in self.terms:
-            is_final = self.ranges_while_running().of(node) == ZERO and any(
-                self.ranges_at(ending).of(node) != ZERO for ending in self.endings_and_truncation
-            )
-            (final if is_final else ordinary).append((term, node))
-        return ordinary, final
+        final = [
+            (term, node)
+            for term, node in self.terms
+            if self.ranges_while_running().of(node) == ZERO
+            and any(self.ranges_at(ending).of(node) != ZERO for ending in self.endings_and_truncation)
+        ]
+        return [entry for entry in self.terms if entry not in final], final
 
     def largest_final(self, final: Terms) -> float:
         """Return the largest amount that the terms in `final` pay or cost at an end; infinite if it is
@@ -118,10 +114,7 @@ def measured_subjects(analysis: RangeAnalysis, tree: Scalar) -> Iterator[tuple[s
 
 def total_range(terms: Terms, ranges: Ranges) -> Interval:
     """Return the range of the sum of terms in one step."""
-    total = ZERO
-    for _, node in terms:
-        total = iv.add(total, ranges.of(node))
-    return total
+    return reduce(iv.add, (ranges.of(node) for _, node in terms), ZERO)
 
 
 def return_range(reward: RewardTerms) -> Interval:
