@@ -37,8 +37,9 @@ records.py          dataclasses that compile nothing at import
 pictures.py         a check of pictures before they are decoded
 
 The documented Python API is `Scenario`, `Permissions`, `load`, `compile`, `make`, `make_vec`,
-`parallel_env`, `train`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on first use, so
-that importing this package costs nothing. Gymnasium gets the names of `envs` as soon as both are imported.
+`parallel_env`, `train`, `train_group`, `resume`, `evaluate`, `compare` and `load_policy`; each is imported on
+first use, so that importing this package costs nothing. Gymnasium gets the names of `envs` as soon as both are
+imported.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
     from deepbots_cli.api import compile, load, make, make_vec, parallel_env
     from deepbots_cli.document import Permissions
-    from deepbots_cli.learning import compare, evaluate, load_policy, resume, train
+    from deepbots_cli.learning import compare, evaluate, load_policy, resume, train, train_group
     from deepbots_cli.scenario import Scenario
 
 __version__ = "0.1.0"
@@ -72,6 +73,7 @@ __all__ = [
     "parallel_env",
     "resume",
     "train",
+    "train_group",
 ]
 
 _HOMES = {
@@ -83,6 +85,7 @@ _HOMES = {
     "make_vec": "deepbots_cli.api",
     "parallel_env": "deepbots_cli.api",
     "train": "deepbots_cli.learning",
+    "train_group": "deepbots_cli.learning",
     "resume": "deepbots_cli.learning",
     "evaluate": "deepbots_cli.learning",
     "compare": "deepbots_cli.learning",

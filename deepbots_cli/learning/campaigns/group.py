@@ -82,6 +82,7 @@ from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, f
 if TYPE_CHECKING:
     from deepbots_cli.learning.callbacks import OnEvaluation
     from deepbots_cli.learning.environments import WorldFactory
+    from deepbots_cli.scenario import Scenario
 
 FORMAT = 2
 MAX_SEEDS = 1000
@@ -302,7 +303,7 @@ all seeds; returns False to end the group."""
 
 
 def train_group(
-    compiled: Compiled,
+    scenario: Compiled | Scenario | str | Path,
     seeds: Sequence[int],
     *,
     group: str | Path | None = None,
@@ -320,7 +321,7 @@ def train_group(
     second one stops it at once.
 
     Args:
-        compiled: The scenario.
+        scenario: As for `train`.
         seeds: The root seeds, each once.
         group: The folder to make; by default `runs/<scenario>-seeds-<n>`.
         progress: Whether to report progress on standard error, or your own `Reporter`; on workers it is a
@@ -341,7 +342,7 @@ def train_group(
         raise TypeError(f"a training has no option {', '.join(sorted(unknown))}")
     from deepbots_cli.learning.training import checked_settings
 
-    compiled = api.with_learner(compiled)
+    compiled = api.with_learner(api.compile(scenario))
     record = _new_record(compiled, seeds, options)
     checked_settings(compiled.program, seeds, **options)
     path = new_directory(group, runs, compiled.program.name, "seeds")
