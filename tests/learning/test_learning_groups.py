@@ -602,6 +602,8 @@ def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_o
         "returns are not compared, because they do not mean the same: reward.alive: 1 -> 2" in note
         for note in comparison.notes
     )
+    lines = _lines(comparison, _group_rows(comparison), _difference_rows(comparison))
+    assert "difference from" not in "\n".join(lines)
 
 
 def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Path) -> None:

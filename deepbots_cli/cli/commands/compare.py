@@ -233,8 +233,9 @@ def _lines(comparison: Comparison, groups: Sequence[Row], differences: Sequence[
         f" {comparison.seed}"
     )
     yield table(groups)
-    yield f"\ndifference from {comparison.groups[0].name}"
-    yield table(differences)
+    if any(len({*row.values()} - {None}) > 1 for row in differences):  # more than the name of the group
+        yield f"\ndifference from {comparison.groups[0].name}"
+        yield table(differences)
     compared = [entry.compared for entry in comparison.differences if not entry.between_seeds]
     for measure in dict.fromkeys(filter(None, compared)):
         yield (
