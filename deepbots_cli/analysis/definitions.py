@@ -114,7 +114,6 @@ class DefinitionAnalysis:
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
         self._dependencies: dict[int, tuple[Scalar, frozenset[str]]] = {}
         self._sources: dict[int, tuple[Scalar, frozenset[str]]] = {}
-        self._with_memory: dict[int, bool] = {}
         self.identity = Identities(self._self).of
         """A number that two trees share if they mean the same quantity."""
         self.period = program.world.timestep * program.action_repeat
@@ -280,14 +279,6 @@ class DefinitionAnalysis:
                 met.add(identity)
                 yield node
                 waiting += parts(node)
-
-    def has_memory(self, node: Scalar) -> bool:
-        """Return whether a value depends on earlier timesteps."""
-        identity = self.identity(node)
-        if identity not in self._with_memory:
-            parts_of_value = self.walk_definitions(node)
-            self._with_memory[identity] = any(isinstance(part, State) for part in parts_of_value)
-        return self._with_memory[identity]
 
     def conjuncts(self, *conditions: Scalar, limit: float = INF) -> Iterator[Scalar]:
         """Yield the parts of conditions that must all hold, through all names, each once; at most `limit`

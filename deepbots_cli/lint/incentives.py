@@ -240,7 +240,7 @@ class _StillRanges(Ranges):
                 return super()._state(node)
 
     def _op(self, op: str, args: Sequence[Scalar]) -> Interval:
-        if op in ("add", "sub") and any(map(self.analysis.has_memory, args)):
+        if op in ("add", "sub") and any(_has_memory(self.analysis, arg) for arg in args):
             return self._sum(op, args)
         if op == "and":
             return super()._op(op, [self._now(arg) for arg in args])
@@ -278,7 +278,7 @@ class _StillRanges(Ranges):
 
     def _now(self, node: Scalar) -> Scalar:
         """Return the same value, with each quantity one step ago replaced by the quantity."""
-        if not self.analysis.has_memory(node):
+        if not _has_memory(self.analysis, node):
             return node
         match self.analysis.resolve_aliases(node):
             case State("previous", (inner, *_)):
@@ -287,6 +287,11 @@ class _StillRanges(Ranges):
                 return Op(op, tuple(self._now(arg) for arg in args))
             case meaning:
                 return meaning
+
+
+def _has_memory(analysis: RangeAnalysis, node: Scalar) -> bool:
+    """Return whether a value depends on earlier timesteps."""
+    return any(isinstance(part, State) for part in analysis.walk_definitions(node))
 
 
 @rule("DB708", versions="training")
@@ -357,7 +362,7 @@ def _pay(waiting: Ranges, node: Scalar, *, is_open: bool) -> float:
     A memory such as `running_max` may have any value of its range, but does not pay its rise in each step.
     """
     paid = waiting.of(node)
-    return paid.high if is_open and not waiting.analysis.has_memory(node) else paid.low
+    return paid.high if is_open and not _has_memory(waiting.analysis, node) else paid.low
 
 
 def _ways_to_avoid(analysis: Analysis, success: Expression) -> list[Threshold | None]:
