@@ -435,22 +435,22 @@ def unlimited_motor(context: RuleContext) -> Iterator[Match]:
 def limits_in_degrees(context: RuleContext) -> Iterator[Match]:
     """Report limits of a joint in a robot file that were probably meant in degrees."""
     program = context.program
-    trees = [tree for value in program.computed_expressions for tree in value.scalars]
-    subjects = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
     for robot in program.robots:
         resolved = context.namespace.robots[robot.name]
-        if resolved is None:
+        in_degrees = list(filter(_is_in_degrees, context.analysis.body(robot.name).model.moving_joints))
+        if resolved is None or not in_degrees:
             continue
+        trees = [tree for value in program.computed_expressions for tree in value.scalars]
+        subjects = {node.subjects[0] for tree in trees for node in walk(tree) if isinstance(node, EngineRead)}
         used = {joint for actuator in robot.actuators for joint in getattr(actuator, "joints", ())}
         used |= {name for sensor in robot.sensors for name in sensor.subjects}
         used |= {subject.removeprefix(f"{robot.name}.") for subject in subjects}
         suspects = [
             joint
-            for joint in context.analysis.body(robot.name).model.moving_joints
+            for joint in in_degrees
             if joint.name in used
             and joint.name in resolved.file.limit_spans
             and joint.limit == resolved.file.model.joint(joint.name).limit
-            and _is_in_degrees(joint)
         ]
         for joint in suspects[:1]:
             low, high = joint.limit.lower or 0.0, joint.limit.upper or 0.0
