@@ -558,8 +558,8 @@ CAUSES: tuple[Cause, ...] = (
         when=lambda e: e.failure is not None and e.failure.ends_at_reset,
         numbers=lambda e: {"steps": e.steps, "error": _error(e.failure)},
         text="An episode cannot start after {steps} steps of training: {error}.",
-        advice="Change the start under `reset` or the threshold of the ending. `lint --deep` counts the starts"
-        " that end at once.",
+        advice="Change the start under `reset` or the threshold of the ending. `lint --deep` counts the"
+        " starts that end at once.",
         command="lint --deep {run}/resolved.yaml",
     ),
     Cause(

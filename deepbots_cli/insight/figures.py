@@ -85,8 +85,9 @@ def scores(logs: Sequence[TrainingLog], theme: str, measure: Measure) -> Figure 
         plot_scores(panel, logs, measure, style, marks, (THEMES[theme][1], f"teacher {logs[0].teacher}"))
     if not is_return:
         panel.set_ylim(-0.03, 1.03)
-    title = "return" if is_return else "success rate"
-    return _with_legend(figure, style_panel(panel, title, theme, stages=[logs]))
+    return _with_legend(
+        figure, style_panel(panel, "return" if is_return else "success rate", theme, stages=[logs])
+    )
 
 
 def actions(member: Member, taken: Sequence[Any], theme: str) -> Figure | None:
@@ -136,17 +137,26 @@ def shares(logs: Sequence[TrainingLog], theme: str) -> Figure | None:
     at = np.linspace(min(steps[0] for steps, _ in curves), max(steps[-1] for steps, _ in curves), 200)
     # The points where a stage begins are included.
     at = np.union1d(at, np.concatenate([steps[np.isnan(values)] for steps, values in curves]))
-    by_term = [[log.terms[term] for log in logs if term in log.terms] for term in terms]
     sizes = np.array(
         [
-            np.mean([np.interp(at, steps, np.abs(values)) for steps, values in term_curves], axis=0)
-            for term_curves in by_term
+            np.mean(
+                [
+                    np.interp(at, steps, np.abs(values))
+                    for steps, values in (log.terms[term] for log in logs if term in log.terms)
+                ],
+                axis=0,
+            )
+            for term in terms
         ]
     )
     figure, ((panel,),) = new_figure(theme, 2.9)
-    colors = [styles[term]["color"] for term in terms]
     panel.stackplot(
-        at, sizes / np.maximum(sizes.sum(axis=0), 1e-12), labels=terms, colors=colors, alpha=0.85, linewidth=0
+        at,
+        sizes / np.maximum(sizes.sum(axis=0), 1e-12),
+        labels=terms,
+        colors=[styles[term]["color"] for term in terms],
+        alpha=0.85,
+        linewidth=0,
     )
     panel.set_ylim(0, 1)
     return _with_legend(figure, style_panel(panel, "fraction of each reward term", theme, stages=[logs]))
@@ -191,12 +201,11 @@ def starts(
 
         at = [coordinate(episode.drawn[name]) for episode in drawn]
         by_outcome = {True: SUCCESS, False: FAILURE} if success_defined else {}
-        colors = [by_outcome.get(episode.is_success, COLORS[0]) for episode in drawn]
         panel.scatter(
             at,
             [episode.total_return for episode in drawn],
             s=12,
-            c=colors,
+            c=[by_outcome.get(episode.is_success, COLORS[0]) for episode in drawn],
             alpha=0.8,
             linewidths=0,
             # An SVG has an element for each point, and thousands of them make a page large.
@@ -428,8 +437,8 @@ def outline(shape: Any, pose: Frame) -> list[Triple]:
         case Cylinder(radius, length):
             points = placed((radius * x, radius * y, z) for x, y in ring for z in (-length / 2, length / 2))
         case _:
-            sides = zip(*bounds_of_shape(shape), strict=True)
-            ends = ((low, max(high, low + _MIN_SIDE_M)) for low, high in sides)
+            low, high = bounds_of_shape(shape)
+            ends = zip(low, np.maximum(high, np.add(low, _MIN_SIDE_M)).tolist(), strict=True)
             points = placed(product(*ends))  # type: ignore[arg-type]
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]
 

@@ -372,10 +372,11 @@ def serve_robot(
         for command in robot.commands
     ]
     topics = mapping(program)
-    scans = {field.name: field.scan for field in sensor_fields(program)}
-    fields = [replace(field_of(entry.info), scan=scans.get(entry.info.name)) for entry in readings]
+    sensors = {field.name: field for field in sensor_fields(program)}  # with the angles of scans
     try:
-        sends = mapped(fields, topics)
+        sends = mapped(
+            [sensors.get(reading.info.name) or field_of(reading.info) for reading in readings], topics
+        )
         receives = mapped([field_of(entry) for entry in outputs], topics, commands=True)
         about = About(
             "robot",

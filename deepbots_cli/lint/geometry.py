@@ -21,7 +21,7 @@ from deepbots_cli.lint.observations import linear
 from deepbots_cli.lint.simulation import ARENA, Clearance, driven_wheels
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Thrust
-from deepbots_cli.program.task import Mirror, ObservedNumber, Symmetry
+from deepbots_cli.program.task import Mirror, Symmetry
 from deepbots_cli.robots.kinematics import link_frames
 from deepbots_cli.robots.model import Joint, RobotModel
 
@@ -178,7 +178,11 @@ class _Mirrors:
     def __init__(self, analysis: Analysis, symmetry: Symmetry) -> None:
         self._analysis = analysis
         wide = analysis.program.with_critic.agent
-        trees = self._observed_trees(wide.numbers)
+        trees = [
+            tree
+            for entry in wide.observation
+            for tree, _ in zip(self._analysis.scalars(entry.value), entry.numbers, strict=False)
+        ]
         observed = [self._measured_joint(trees[index]) for index, _ in wide.seen]
         names = [entry.name for entry in wide.inputs]
         agent = analysis.program.agent
@@ -186,16 +190,6 @@ class _Mirrors:
         driven = [self._driven_joints.get(part) for part in parts]
         self.of_observation = list(_mirrored(names, observed, symmetry.observation))
         self.of_action = list(_mirrored(agent.range_names, driven, symmetry.ranges))
-
-    def _observed_trees(self, numbers: Sequence[ObservedNumber]) -> list[Scalar]:
-        agent = self._analysis.program.with_critic.agent
-        trees = [
-            tree
-            for entry in agent.observation
-            for tree, _ in zip(self._analysis.scalars(entry.value), entry.numbers, strict=False)
-        ]
-        assert len(trees) == len(numbers)
-        return trees
 
     def _measured_joint(self, tree: Scalar) -> JointNumber | None:
         leaves = [leaf for leaf in self._analysis.walk_definitions(tree) if self._joint_of(leaf) is not None]

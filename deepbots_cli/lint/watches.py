@@ -301,16 +301,11 @@ class ArmWatch:
             self._check_turn(world, key, actuator, drive, target)
             return
         if key not in self._misses:
-            limits = {name: model.joint(name).limit for name in positions}
-            ends = {
-                name: [end for end in (limit.lower, limit.upper) if end is not None]
-                for name, limit in limits.items()
-            }
             at_limit = {
                 name: end
-                for name, limit_ends in ends.items()
-                for end in limit_ends
-                if abs(positions[name] - end) < _LIMIT_TOLERANCE
+                for name, joint_position in positions.items()
+                for end in (model.joint(name).limit.lower, model.joint(name).limit.upper)
+                if end is not None and abs(joint_position - end) < _LIMIT_TOLERANCE
             }
             self._misses[key] = UnreachedPose(
                 robot, actuator.name, distance, angle, at_limit, step=world.step_count

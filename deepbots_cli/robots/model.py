@@ -272,19 +272,6 @@ class RobotModel:
         """Return the joints that follow this one."""
         return {name: mimic for name, mimic in self.followers.items() if mimic.joint == leader}
 
-    @property
-    def end_link(self) -> str:
-        """The link that the most moving joints carry, such as the hand or a finger of an arm; the last one of
-        several."""
-        carried = {self.root: 0}
-        waiting = [self.root]
-        for parent in waiting:
-            for joint in self.joints:
-                if joint.parent == parent:
-                    carried[joint.child] = carried[parent] + int(joint.moves)
-                    waiting.append(joint.child)
-        return max(reversed(list(carried)), key=carried.__getitem__)
-
     def links_below(self, first: str, *, rigid: bool = False) -> list[str]:
         """Return a link and the links that it carries; `rigid` leaves out those behind a joint that moves."""
         links = [first]

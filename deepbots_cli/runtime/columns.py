@@ -146,12 +146,11 @@ class BatchMemory:
         first = singles[0]
         self._chosen = updated_worlds
         self._vector = isinstance(first, formulas.Memories | formulas.VectorMemory)
-        if isinstance(first, formulas.Memories | formulas.VectorMemory):
-            kind = first.component
-            count = first.count
-        else:
-            kind = type(first)
-            count = 1
+        kind, count = (
+            (first.component, first.count)
+            if isinstance(first, formulas.Memories | formulas.VectorMemory)
+            else (type(first), 1)
+        )
         self._law = _Accumulate(first.timestep) if kind is formulas.Accumulate else kind(first.timestep)
         self._choose = _KEPT.get(kind)
         self._kept: Column = np.zeros((count, len(singles)))

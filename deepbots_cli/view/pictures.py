@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from PIL.Image import Image as Picture
     from PIL.ImageDraw import ImageDraw
 
-SUFFIXES = (".mp4", ".gif", ".html")
 # Pictures per second.
 _GIF_FRAME_RATE = 12.5  # GIF has delays of 0.01 s, and this is 8 of them
 _MP4_FRAME_RATE = 30.0

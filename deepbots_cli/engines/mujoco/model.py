@@ -57,7 +57,6 @@ GROUND_DEPTH_M = 1.0  # m of ground below the lowest place of a terrain
 # Groups of geoms: those that rays meet, those that rays do not meet, and those that are only drawn.
 SOLID_GROUP = 0
 HIDDEN_GROUP = 5
-VISUAL_GROUP = 1
 CONTACT_TIME_CONSTANT_S, MIN_CONTACT_STEPS = 0.01, 3.0
 """The time constant (s) of contacts and joint limits, and its least value in engine steps.
 
