@@ -439,7 +439,7 @@ def outline(shape: Any, pose: Frame) -> list[Triple]:
         case _:
             low, high = bounds_of_shape(shape)
             ends = zip(low, np.maximum(high, np.add(low, _MIN_SIDE_M)).tolist(), strict=True)
-            points = placed(product(*ends))  # type: ignore[arg-type]
+            points = placed(product(*ends))
     return [points[number] for number in ConvexHull([point[:2] for point in points]).vertices]
 
 
