@@ -458,10 +458,9 @@ class Physics:
             mj.mj_multiRay(self.model, self.data, origin, rays.ravel(), *seen, *hits, count, reach)
         finally:
             groups[own] = saved
-        is_hit = (lengths >= 0) & (lengths <= reach)
         cosines = np.abs((normals.reshape(-1, 3) * rays).sum(axis=1))
-        lengths[~is_hit], geoms[~is_hit], cosines[~is_hit] = reach, -1, 1.0
-        return list(zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True))
+        rows = zip(lengths.tolist(), geoms.tolist(), cosines.tolist(), strict=True)
+        return [row if 0 <= row[0] <= reach else (reach, -1, 1.0) for row in rows]
 
     def contacts(self) -> list[tuple[int, int, Triple, Triple]]:
         """Return the contacts of the last substep: two geometries, the point, and the force on the second
