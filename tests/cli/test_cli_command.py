@@ -44,6 +44,7 @@ from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.robots.kinematics import box_around
 from deepbots_cli.runtime.overview import extent
 from tests.few import few
+from tests.golden import cases
 
 EXTRA = ("numpy", "pybullet", "torch", "gymnasium", "stable_baselines3")
 
@@ -341,6 +342,37 @@ def test_the_doctor_finds_this_installation_in_order(deepbots):
     }
     absent = set() if ENGINES["pybullet"].is_installed else {"engine pybullet"}
     assert {look["what"] for look in report["checks"] if look["state"] != "ok"} == absent
+
+
+PRINTING = (
+    "lint golden --json --preview",
+    "inspect multi_cartpole",
+    "compile find_ball",
+    "diff cartpole find_ball",
+    "explain",
+    "explain sensor",
+    "lsp --schema",
+    "nonsense",
+)
+
+
+@pytest.mark.slow  # three interpreters, 10 s of CPU each
+def test_output_does_not_depend_on_the_hash_seed(tmp_path):
+    cases.write(tmp_path / "golden")
+    (tmp_path / "deepbots.toml").touch()
+    code = f"from deepbots_cli.cli import main\nfor line in {PRINTING}: print(main(line.split()), flush=True)"
+    first, *others = (
+        subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=tmp_path,
+            env=python_environment() | {"PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        )
+        for seed in "123"
+    )
+    assert len(first.stdout) > 100_000
+    assert [(other.stdout, other.stderr) for other in others] == [(first.stdout, first.stderr)] * 2
 
 
 def test_printed_findings_can_be_read():

@@ -30,6 +30,8 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.cli import main, terminal
+from deepbots_cli.cli.command import Commands
+from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.cli.commands.train import training_page
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
@@ -40,6 +42,7 @@ from deepbots_cli.learning.runs.records import RunRecord, write_record
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.commands import Deepbots, Ran
+from tests.few import few
 
 FAST = (
     *("--set", "train.n_epochs=1", "--set", "train.environments=2", "--set", "train.n_steps=64"),
@@ -943,3 +946,75 @@ def test_a_training_whose_copy_is_another_scenario_stops_before_its_first_step(
     with pytest.raises(RunError, match=reason):
         train(replace(compiled, inputs=copies), run="r", on_start=lambda path: pytest.fail("has begun"))
     assert not Path("r").exists()
+
+
+DOCUMENTS = {
+    "new": "another --template pit",
+    "try": "cartpole --episodes 1 --steps 5",
+    "scenarios": "",
+    "explain": "DB603",
+    "lint": "cartpole",
+    "inspect": "mine",
+    "test": "cartpole",
+    "diff": "mine cartpole",
+    "eval": "mine --episodes 3",
+    "runs": ".",
+    "compare": f"mine {STEP} --episodes 2",
+    "diagnose": "mine",
+    "render": "cartpole -o a.mcap --steps 5",
+    "replay": "a.mcap",
+    "report": "mine -o a.html",
+    "export": "mine -o bundle",
+    "compile": "cartpole",
+    "course": "",
+    "doctor": "",
+}
+"""Commands that take --json, with arguments of a short call."""
+LONG = {
+    "train",
+    "resume",
+    "repeat",
+    "tune",
+    "apply",
+    "robustness",
+    "transfer",
+    "bench",
+    "grade",
+    "serve",
+    "webots",
+}
+"""Those that train, evaluate for long or serve, and `apply`, which needs a study."""
+OF_TABLES = ("inspect", "diff", "eval", "runs", "compare", "replay")
+
+
+def numbers_in(data):
+    """Yield the numbers of JSON, and those within its texts."""
+    if isinstance(data, dict | list):
+        for item in data.values() if isinstance(data, dict) else data:
+            yield from numbers_in(item)
+    elif isinstance(data, str):
+        yield from (float(re.sub("[,_]", "", number)) for number in re.findall(r"\d[\d_,]*(?:\.\d+)?", data))
+    elif data is not None:
+        yield abs(float(data))
+
+
+@pytest.mark.parametrize("verb", few(DOCUMENTS, ("scenarios", "lint", "inspect", "diff", "eval", "runs")))
+def test_json_is_one_document_that_has_the_numbers_of_the_table(deepbots, trained, verb):
+    words = DOCUMENTS[verb].split()
+    if verb == "replay":
+        deepbots("render", *DOCUMENTS["render"].split())
+    known = {95.0, *numbers_in(json.loads(deepbots(verb, *words, "--json", code=None).out))}  # 95 % intervals
+    shown = deepbots(verb, *words, code=None).out if verb in OF_TABLES else ""
+    for number, decimals, percent in re.findall(r"(?<![\w.])(\d[\d,]*(?:\.(\d+))?)( ?%)?", shown):
+        value, scales = float(number.replace(",", "")), (1, 100) if percent else (1,)
+        nearest = min(abs(scale * other - value) for scale in scales for other in known)
+        assert nearest <= 0.5000001 * 10 ** -len(decimals), f"{number} is not in the JSON"
+
+
+def test_each_command_with_json_is_tried():
+    takes = {
+        verb
+        for verb in COMMANDS
+        if any("--json" in parameter.opts for parameter in Commands().get_command(None, verb).params)
+    }
+    assert takes == {*DOCUMENTS, *LONG}
