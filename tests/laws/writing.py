@@ -869,81 +869,35 @@ def a_case_that_sets_what_is_set_is_the_scenario(case: Case) -> None:
 
 # Fixes
 
-_NUMBER_AND_UNIT = re.compile(r"(?<![\w.])(\d[\d_.]*) ([a-z]\w*)(?![\w/*^])")
-_ANY_NAME = re.compile(r"(?<!\d )(?<!\w)[a-z_][a-z_0-9]{3,}")
-_RANGE = re.compile(r"(-?[\d.]+) \.\. (-?[\d.]+)")
-_SPELLED_OUT = {
-    "cm": "centimeters",
-    "m": "meter",
-    "deg": "degrees",
-    "rad": "radians",
-    "s": "sec",
-    "ms": "millis",
+_DAMAGES = {
+    "unit": (
+        r"(?<![\w.])(\d[\d_.]*) [a-z]\w*(?![\w/*^])",
+        (r"\1", r"\1 kg", r"\1 degrees", r"\1 meter", r"\1 sec"),
+    ),
+    "name": (
+        r"(?<!\d )(?<!\w)([a-z_])([a-z_0-9])([a-z_0-9]{2,})",
+        (r"\1\3", r"\1\2\2\3", r"\2\1\3", r"\1_\2\3"),
+    ),
+    "range": (r"(-?[\d.]+) \.\. (-?[\d.]+)", (r"\2 .. \1",)),
+    "indentation": (r"(?m)^  (?=\w)", ("", " ", "    ")),
+    "kind": (r"(?m)(?<=: )(\w[^\n#]*)$", (r"[\1]", r"{value: \1}", r"\1,5", "yes", r"\1%", "1_0")),
 }
+"""Slips by their kind: the form of the text, and what is written instead."""
 
 
-def damaged(draw: Draw, data: Data) -> tuple[str, str]:
-    """Damage one place as a person does: a unit, a name, a key, its indentation, a range, a kind of value.
-
-    Returns the way, and the text.
-    """
-    ways: list[tuple[str, Path]] = []
-    for path, value in walk(data):
-        holder, key = holder_of(data, path), path[-1]
-        if isinstance(holder, dict) and len(str(key)) > 3:
-            ways.append(("key", path))
-        if len(path) == 2 and key == [*holder][-1]:
-            ways.append(("outdented", path))
-        if isinstance(value, str):
-            ways += [
-                (way, path)
-                for way, form in (("unit", _NUMBER_AND_UNIT), ("range", _RANGE), ("name", _ANY_NAME))
-                if form.search(value)
-            ]
-        if not isinstance(value, dict | list):
-            ways.append(("kind", path))
-    way = pick(draw, sorted({way for way, _ in ways}))
-    path = pick(draw, [path for other, path in ways if other == way])
-    holder, key = holder_of(data, path), path[-1]
-    value = holder[key]
-    match way:
-        case "key":
-            entries = [
-                (_misspelled(draw, name) if name == key else name, old) for name, old in holder.items()
-            ]
-            holder.clear()
-            holder.update(entries)
-        case "outdented":
-            entries = [*data.items()]
-            place = [*data].index(str(path[0])) + 1
-            del holder[key]
-            data.clear()
-            data.update([*entries[:place], (str(key), value), *entries[place:]])
-        case "unit":
-            word = _NUMBER_AND_UNIT.search(value)[2]
-            unit = draw(st.sampled_from(("", f" {_SPELLED_OUT.get(word, 'kg')}")))
-            holder[key] = _NUMBER_AND_UNIT.sub(rf"\1{unit}", value, count=1)
-        case "range":
-            holder[key] = _RANGE.sub(r"\2 .. \1", value, count=1)
-        case "name":
-            holder[key] = _ANY_NAME.sub(lambda match: _misspelled(draw, match[0]), value, count=1)
-        case _:
-            holder[key] = pick(draw, ([value], {"value": value}, f"{value},5", "yes", f"{value}%", "1_0"))
-    return way, as_text(data)
-
-
-def _misspelled(draw: Draw, word: str) -> str:
-    place = draw(st.integers(1, len(word) - 2))
-    return pick(
-        draw, (word[:place] + word[place + 1 :], word[:place] + word[place] + word[place:], word.title())
-    )
+def damaged(draw: Draw, text: str) -> tuple[str, str]:
+    """Damage one place as a person does; returns the kind of the slip and the text."""
+    places = {kind: [*re.finditer(form, text)] for kind, (form, _) in _DAMAGES.items()}
+    kind = pick(draw, [kind for kind, matches in places.items() if matches])
+    match = pick(draw, places[kind])
+    return kind, text[: match.start()] + match.expand(pick(draw, _DAMAGES[kind][1])) + text[match.end() :]
 
 
 @law(cost=100)
 def a_fix_removes_its_finding(case: Case) -> None:
     """A fix that lint offers is what to write instead: it leaves one finding of this kind less, and no more
     errors than before."""
-    way, text = damaged(case.draw, copy.deepcopy(case.drawn.data))
+    kind, text = damaged(case.draw, case.drawn.text)
     findings = all_findings(api.load(case.write(text), tests=True))
     before = Counter((finding.code, finding.headline) for finding in findings)
     for finding in findings:
@@ -952,7 +906,7 @@ def a_fix_removes_its_finding(case: Case) -> None:
         fixed = case.write(edited(finding.span.source, finding.fix.edits), "fixed.yaml")
         after = Meaning.of(fixed).findings
         about = (
-            f"{way}: {finding.code} {finding.headline}, fixed by {[edit.text for edit in finding.fix.edits]}"
+            f"{kind}: {finding.code} {finding.headline}, fixed by {[edit.text for edit in finding.fix.edits]}"
         )
         entry = (finding.code, finding.headline)
         assert after[entry] < before[entry], about
