@@ -63,9 +63,9 @@ class Inputs:
     @property
     def _texts(self) -> dict[Path, str]:
         main, files = self.document.source, self.document.files
-        first = next(
-            (path for path, source in files.items() if source is main), self.document.base / main.name
-        )
+        is_file_name = main.name.endswith((".yaml", ".yml"))
+        name = main.name if is_file_name else f"{main.name.strip('<>')}.yaml"  # no file: `<Scenario Name>`
+        first = next((path for path, source in files.items() if source is main), self.document.base / name)
         robots = {robot.copied_path: robot.file.source.text for robot in self._all_robots}
         return {first: main.text, **{path: source.text for path, source in files.items()}, **robots}
 

@@ -206,7 +206,8 @@ class Source:
             if opened.kind in (SourceKind.STUDY, SourceKind.GROUP):
                 inner = _first_inside(opened.path, kinds)
                 noun = "trials" if SourceKind.GROUP in kinds else "runs"
-                hint = f"; name one of its {noun}, such as {shell_word(inner)}" if inner else ""
+                resume = f"; `deepbots resume {shell_word(opened.name)}` continues it"
+                hint = f"; name one of its {noun}, such as {shell_word(inner)}" if inner else resume
             elif (
                 SourceKind.RUN in kinds
                 and opened.kind is SourceKind.SCENARIO

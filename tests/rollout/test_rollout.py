@@ -213,7 +213,7 @@ NOT_A_SOURCE = "{} is not a run, a group or a scenario: it is a folder without r
         ("broken", SCENARIO, "{0} is a run, and not a scenario; its scenario is {0}/resolved.yaml;"
                              " `deepbots resume {0}` continues its training"),
         ("broken", [*RUN[:7], *EITHER, *RENDERED], "{}/run.json is damaged: it is not valid JSON"),
-        ("group", [*SCENARIO], "{} is a group of runs, and not a scenario"),
+        ("group", [*SCENARIO], "{0} is a group of runs, and not a scenario; `deepbots resume {0}` continues it"),
         ("group", [["export", "?", "-o", "bundle"], ["view", "?"]], "{} is a group of runs, and not a "),
         ("run/models/agent/best.zip", [["diagnose", "?"], ["resume", "?"]], "{} is a model of a run, and not"
                                                                             " a run"),

@@ -117,6 +117,11 @@ def test_a_mistake_that_only_the_whole_scenario_shows_is_a_finding_at_its_line()
         deepbots_cli.compile(cartpole(reward={"alive": "2 * nothing"}))
 
 
+def test_the_copy_of_a_scenario_in_python_has_the_name_of_a_file_on_every_system() -> None:
+    name, *_ = deepbots_cli.compile(cartpole()).inputs
+    assert name == "Scenario Built.yaml"
+
+
 def test_without_agents_the_sections_of_one_agent_are_required() -> None:
     with pytest.raises(ValidationError, match="reward"):
         Scenario(**cartpole().model_dump(exclude_unset=True, exclude={"reward"}))
