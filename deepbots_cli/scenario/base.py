@@ -14,7 +14,7 @@ reads an annotation:
 The compiler, the language server, the JSON Schema and the reference pages use these shapes.
 """
 
-# Annotations are not postponed: pydantic would compile those of `Section` again for each of its 136 models.
+# Annotations are not postponed, because pydantic compiles postponed ones of `Section` again for each model.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
@@ -241,8 +241,7 @@ class ImportedModels(Mapping[str, type[Section]]):
 
     @cached_property
     def _models(self) -> Mapping[str, type[Section]]:
-        models: Mapping[str, type[Section]] = import_attribute(self._place)
-        return models
+        return dict(import_attribute(self._place))
 
     def __getitem__(self, name: str) -> type[Section]:
         return self._models[name]
