@@ -152,7 +152,7 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
     )
     assert isinstance(train_entry.value, MappingNode)  # the validation has checked it
     hyperparameters = {key: entry for key, entry in train_entry.value.entries.items() if key != _ALGORITHM}
-    section = merge(section, replace(train_entry.value, entries=hyperparameters), _TRAIN)
+    section = merge(section, replace(train_entry.value, entries=hyperparameters))
     root = replace(root, entries=root.entries | {_TRAIN: Entry(train_entry.key, section)})
     return replace(document, root=root), tuple(
         reason for keys, reason in choice.reasons.items() if hyperparameters.keys().isdisjoint(keys.split())

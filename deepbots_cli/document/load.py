@@ -244,8 +244,9 @@ class _Reader:
         base = replace(base, entries=base_entries)
         return self.without_removed(base, tree, remove.value) if remove else merge(base, tree)
 
-    def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int) -> Node:
-        """Return `node`, from a file in `folder`, with included files in their places."""
+    def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int, names: int = 0) -> Node:
+        """Return `node`, from a file in `folder`, with included files in their places; `names` as in
+        `merge`."""
         match node:
             case ScalarNode():
                 return node
@@ -255,7 +256,10 @@ class _Reader:
                 )
             case MappingNode():
                 below = {
-                    key: Entry(key_node, self.expanded(value, folder, chain, depth + 1))
+                    key: Entry(
+                        key_node,
+                        self.expanded(value, folder, chain, depth + 1, _names_below(names, key)),
+                    )
                     for key, (key_node, value) in node.entries.items()
                 }
                 include = below.pop("include", None)
@@ -264,7 +268,7 @@ class _Reader:
                 included = self.referenced(include, folder, chain)
                 if included is None or not self.is_affordable(included, include, depth):
                     return MappingNode(node.span, below, partial=True)
-                return merge(included, replace(node, entries=below))
+                return merge(included, replace(node, entries=below), names)
 
     def is_affordable(self, included: MappingNode, entry: Entry, depth: int) -> bool:
         size, height = count_and_depth(included)
@@ -384,32 +388,42 @@ def _listed(node: MappingNode) -> str:
 # Merging
 
 _KIND_KEYS = ("type", "shape", "algorithm")
-# Mappings from names that the user chose: a reward term may be called `shape`.
-_DEFINITIONS = frozenset(
-    ("parameters", "signals", "augment", "observation", "critic", "action", "reward", "success", "failure")
-)
 _WHOLES = {"xyz": ("x", "y", "z"), "rpy": ("roll", "pitch", "yaw")}
 """Keys of a pose that replace the keys of its parts."""
-_OF_NAMES = _DEFINITIONS | frozenset(("set", "search", "emit", "apply", "receive", "poses", "choices"))
+LEVELS_OF_NAMES = {"scripts": 3, "choices": 2, "layouts": 2, "poses": 2} | dict.fromkeys(
+    (
+        *("action", "actuators", "agents", "apply", "augment", "cases", "critic", "disturbances", "driver"),
+        *("emit", "endings", "failure", "forbid", "groups", "hear", "joints", "layout", "legend", "lines"),
+        *("links", "objects", "observation", "one_of", "others", "parameters", "place", "rays", "receive"),
+        *("reward", "robots", "ros", "search", "sensors", "set", "signals", "spin", "success"),
+        *("supplied_by", "swap", "tests", "tiles", "walls", "xacro"),
+    ),
+    1,
+)
+"""How many levels of mappings below a key have keys that the user chose: a reward term may be called `shape`,
+a condition of a script `type`."""
 
 
-def merge(base: MappingNode, over: MappingNode, name: str = "") -> MappingNode:
-    """Return `over` laid upon `base`; both are the value of the key `name`.
+def _names_below(names: int, key: str) -> int:
+    return names - 1 if names else LEVELS_OF_NAMES.get(key, 0)
 
-    Mappings merge by key in the order of `base`; lists and single values replace, and `xyz` replaces `x`, `y`
-    and `z`. If the kind changes (`type`, `shape`, `algorithm`), the settings of the old kind have no meaning,
-    and `over` replaces `base`.
+
+def merge(base: MappingNode, over: MappingNode, names: int = 0) -> MappingNode:
+    """Return `over` laid upon `base`, whose keys and those of so many levels are `names` that the user chose.
+
+    Mappings merge by key in the order of `base`; lists and single values replace. In a section, `xyz`
+    replaces `x`, `y` and `z`. If its kind changes (`type`, `shape`, `algorithm`), the settings of the old
+    kind have no meaning, and `over` replaces `base`.
     """
-    if name not in _OF_NAMES and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
+    if not names and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
-    replaced = {
-        replaced_key for whole, parts in _WHOLES.items() if whole in over.entries for replaced_key in parts
-    }
+    wholes = () if names else _WHOLES.keys() & over.entries.keys()
+    replaced = {part for whole in wholes for part in _WHOLES[whole]}
     entries = {key: entry for key, entry in base.entries.items() if key not in replaced}
     for key, entry in over.entries.items():
         below = base.get(key)
         if isinstance(below, MappingNode) and isinstance(entry.value, MappingNode):
-            entry = Entry(entry.key, merge(below, entry.value, key))
+            entry = Entry(entry.key, merge(below, entry.value, _names_below(names, key)))
         entries[key] = entry
     return MappingNode(
         over.span, entries, partial=base.partial or over.partial, keys_without_value=over.keys_without_value

@@ -27,12 +27,13 @@ from deepbots_cli import Scenario
 from deepbots_cli.compiler.agents import divide, has_several_agents
 from deepbots_cli.diagnostics import Finding, Findings, Source
 from deepbots_cli.document import Document, descend, load, to_data
+from deepbots_cli.document.load import LEVELS_OF_NAMES
 from deepbots_cli.document.parse import parse
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import ScenarioError
 from deepbots_cli.scenario import validate, visit_values
 from deepbots_cli.scenario.actuators import ACTUATORS, VelocityMotor
-from deepbots_cli.scenario.base import Section, section_fields, unit_of, walk_sections
+from deepbots_cli.scenario.base import Forms, MappingOf, Section, section_fields, unit_of, walk_sections
 from deepbots_cli.scenario.documentation import key_description
 from deepbots_cli.scenario.fields import Pattern, Reference
 from deepbots_cli.scenario.json_schema import FILE_NAME, definition_of, json_schema, schema_text
@@ -456,6 +457,22 @@ def test_the_visit_hands_out_kinds_with_what_they_mean() -> None:
         Quantity("angle or length", known="episode"),
         "uniform(-1 .. 1 deg)",
     )
+
+
+def test_extends_merges_as_names_of_users_what_the_models_take_as_names() -> None:
+    def levels(shape: object) -> int:
+        match shape:
+            case MappingOf(value=value):
+                return 1 + levels(value)
+            case Forms(options=options):
+                return max(map(levels, options))
+            case _:
+                return 0
+
+    sections = {section for _, section, _ in walk_sections(Scenario) if isinstance(section, type)}
+    fields = [field for section in sections for field in section_fields(section).items()]
+    taken = {key: levels(shape) for key, shape in fields if levels(shape)}
+    assert taken == LEVELS_OF_NAMES
 
 
 def test_patterns_of_links_are_visited_as_keys() -> None:
