@@ -266,8 +266,12 @@ class AgentEnvironment(gym.Env[Any, Any]):
             act.begin(self.number)
         if seed is not None:
             self.action_space.seed(seed)
+        self.begin(info)
+        return self.get_observations(), self.get_info()
+
+    def begin(self, info: Info) -> None:
+        """Take the info of a reset of the world, in which a batch resets it."""
         self._result = 0.0, self.seat.info(info)
-        return self.get_observations(), dict(self._result[1])
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """See `Supervisor.step`."""
@@ -495,6 +499,7 @@ class AgentBatch:
         for world in worlds:
             self.histories.starts[world] = self.world.histories.starts[world]
             self.histories.options[world] = self.world.histories.options[world]
+            self.singles[world].begin(self.world.singles[world].get_info())
         self.histories.begin(worlds)
         self._begin_policies(worlds)
 

@@ -38,6 +38,7 @@ from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
+from deepbots_cli.view.frames import FrameReader
 from tests.agents.carts import CARTS, scenario_fixture, write_scenario
 from tests.agents.test_agents import ALONE, SEVERAL
 from tests.few import few
@@ -359,6 +360,13 @@ def test_the_worlds_of_the_training_show_what_its_own_critic_sees(
         assert after.tolist() == batch.step([[0.5], [0.5]]).observations[0].tolist()
     with closing(api.build(carts_with_critic.program)) as world:
         assert world.observation_space.shape == (2,)
+
+
+def test_a_world_of_the_batch_of_one_agent_is_shown_from_its_reset(carts_with_critic: api.Compiled) -> None:
+    with closing(api.build_batch(carts_with_critic.program, 2)) as batch:
+        seen = batch.reset([3, 4])
+        shown = FrameReader(batch.singles[1]).read(seen[1])
+    assert list(shown.agents["agent"].terms) == list(batch.TERMS)
 
 
 def test_a_critic_learns_from_more_than_the_policy_sees(
