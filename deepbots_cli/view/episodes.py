@@ -44,18 +44,21 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.batch import BatchSupervisor
 from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.paths import Ways
-from deepbots_cli.runtime.spaces import joined
+from deepbots_cli.runtime.spaces import apply_to_parts, joined
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.view.frames import (
     AgentFrame,
     FrameReader,
     ReceivedMessage,
     WorldFrame,
+    recorded_channels,
     successful_agents,
     value_of_row,
 )
 
 SHOWN_KINDS = (SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
+_MODELS: Mapping[ModelName, Sequence[ModelName]] = {"best": ("best", "last"), "last": ("last", "best")}
+"""The models that act for a run, the first that exists, or the newest one of a training."""
 _TAIL_BYTES = 20_000  # bytes at the end of a log that contain its last episode
 
 
@@ -74,8 +77,9 @@ class Showing:
     start: Mapping[str, Any] = field(default_factory=dict, hash=False)
     """The `options` of every reset."""
     model: ModelName = "best"
-    """The model that acts for a run that has ended; while a run is trained, the newest one acts. A model that
-    `reference` names acts always."""
+    """The model that acts for a run that has ended; while a run is trained, the newest one acts."""
+    is_model_named: bool = False
+    """Whether `reference` is a model, which acts always."""
     deterministic: bool = True
     """Whether the policy takes its likeliest action, or samples."""
 
@@ -99,7 +103,7 @@ class Showing:
         if source.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
             ref = ModelRef.open(source, model=self.model)
             run = ref.run
-            showing = replace(self, model=ref.name)
+            showing = replace(self, model=ref.name, is_model_named=ref.is_named)
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)
@@ -198,9 +202,11 @@ class RunDriver(Driver):
         batch: BatchSupervisor | None = None,
         *,
         model: ModelName = "best",
+        is_model_named: bool = False,
         deterministic: bool = True,
     ) -> None:
-        """Load the policy. In a `batch`, one forward pass acts in all worlds."""
+        """Load the policy; if `is_model_named`, no other model of the run acts. In a `batch`, one forward pass
+        acts in all worlds."""
         try:
             from deepbots_cli.learning.policy import load_model
             from deepbots_cli.learning.runs.run import steps_of
@@ -217,7 +223,7 @@ class RunDriver(Driver):
         self._run = run
         self._env = env
         self._batch = batch
-        self._model = model
+        self._models: Sequence[ModelName] = (model,) if is_model_named else _MODELS.get(model, (model,))
         self._deterministic = deterministic
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
@@ -225,10 +231,9 @@ class RunDriver(Driver):
 
     def begin(self, start: Start) -> None:
         running = RunRecord.read(self._run.path).state(self._run.path) == "training"
-        names = {"best": ("best", "last"), "last": ("last", "best")}.get(self._model, (self._model,))
         stamps = {
             name: stamp
-            for name in names
+            for name in self._models
             if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None
         }
         name = next(
@@ -331,7 +336,14 @@ class Player:
     def run_driver(self, run: Run, batch: BatchSupervisor | None = None) -> RunDriver:
         """Return the policy of a run as driver of the world, or of a batch."""
         showing = self.opened.shown
-        return RunDriver(run, self.env, batch, model=showing.model, deterministic=showing.deterministic)
+        return RunDriver(
+            run,
+            self.env,
+            batch,
+            model=showing.model,
+            is_model_named=showing.is_model_named and run is self.opened.run,
+            deterministic=showing.deterministic,
+        )
 
     def make_driver(self, env: Supervisor, name: str) -> Driver:
         """Return a driver without a policy; that of a person takes `manual_values`."""
@@ -432,6 +444,11 @@ class BatchPlayer(Player):
         )
         self.worlds = len(self.batch.singles)
         self._readers: dict[int, FrameReader] = {}
+        units = self.opened.checked().units
+        self._recorders = [
+            recorder for world in self.batch.singles for _, (_, recorder) in recorded_channels(world, units)
+        ]
+        """All worlds keep their messages, because each may be shown later."""
         return self.batch.singles[0]
 
     def make_reader(self) -> FrameReader:
@@ -479,7 +496,9 @@ class BatchPlayer(Player):
         self._terms = np.zeros((len(self.batch.TERMS), self.batch.count))
         self.action = None
         self.driver.begin(Start())
-        self._turn_to(self.world)  # the reader keeps the messages of the reset
+        self._turn_to(self.world)
+        for recorder in self._recorders:
+            recorder.forget()
         self.observation = self.batch.reset(self._seeds, dict(self.opened.shown.start))
         return self._read()
 
@@ -496,8 +515,11 @@ class BatchPlayer(Player):
             self.action = self.driver.act(self.observation)
         acting = (~self._running.resting).repeat(self.batch.copies)
         if not acting.all():  # a world that has ended shows its last action
-            self.action = np.array(self.action)
-            self.action[~acting] = last_action[~acting]
+            self.action = apply_to_parts(
+                lambda new, last: np.where(acting.reshape(-1, *[1] * (new.ndim - 1)), new, last),
+                self.action,
+                last_action,
+            )
         outcome = self._running.step_all(self.action)
         self._rewards[acting] = outcome.rewards[acting]
         self._terms[:, acting] = outcome.terms[:, acting]
@@ -522,7 +544,7 @@ class BatchPlayer(Player):
             f"{name} {count}" for name, count in ended.most_common()
         ]
         state = f"world {self.world} of {self.worlds} ({', '.join(counts)})"
-        return f"{state}; {self.driver.note}" if self.driver.note else state
+        return f"{state}; {note}" if (note := super().note) else state
 
     def close(self) -> None:
         self.batch.close()

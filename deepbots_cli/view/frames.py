@@ -278,6 +278,10 @@ class MessageRecorder:
             for field in wire.layout.fields
             for name in ([f"{field.name}.{part}" for part in field.components] or [field.name])
         )
+        self.forget()
+
+    def forget(self) -> None:
+        """Keep no message of the episode before."""
         self._values: Sequence[Any] = (None,) * len(self.fields)
         self._received = 0
 
@@ -299,6 +303,25 @@ class MessageRecorder:
         received = self._received > 0 and (isinstance(channel, Channel) or channel.message_received)
         self._received = 0
         return ReceivedMessage(values, 0.0 if isinstance(channel, Channel) else channel.age, received)
+
+
+def _called(env: Supervisor, body: str, agent: str) -> str:
+    """Return the name of a body of an agent. A copy of a robot has the name of its agent."""
+    copies = env.scenario.agent.copies
+    return agent if copies and copies.robot == body else body
+
+
+def recorded_channels(
+    env: Supervisor, units: ShownUnits
+) -> Iterator[tuple[str, tuple[Channel | LossyChannel, MessageRecorder]]]:
+    """Yield the channels by robot and direction. From now on, they keep the messages that they decode."""
+    for copy, agent in env.agents.items():
+        for (name, direction), channel in agent.channels.items():
+            assert channel.wire is not None  # only channels of tests have none
+            wire: object = channel.wire
+            recorder = wire if isinstance(wire, MessageRecorder) else MessageRecorder(channel.wire, units)
+            channel.wire = cast("FieldCodec", recorder)
+            yield f"{_called(env, name, copy)}/{direction}", (channel, recorder)
 
 
 class FrameReader:
@@ -326,7 +349,7 @@ class FrameReader:
         reported = touching if "contacts" in engine.capabilities else []
         self._forces = {part: engine.contact_force(part) for part in reported}
         controllers = {
-            self._called(name, copy): controller
+            _called(env, name, copy): controller
             for copy, agent in env.agents.items()
             for name, controller in agent.controllers.items()
         }
@@ -343,7 +366,7 @@ class FrameReader:
         }
         self._cameras = {key: device for key, device in devices.items() if key in cameras}
         self._sensors = {key: device for key, device in devices.items() if key not in cameras}
-        self._message_recorders = dict(self._recorded_channels(units))
+        self._message_recorders = dict(recorded_channels(env, units))
         beams = {
             key: _beams((body, sensor.subjects[0]), sensor)
             for key, body, sensor in _named_sensors(controllers)
@@ -366,30 +389,13 @@ class FrameReader:
         self._ranges = [(f.low, f.high) for f in self.layout.observation]
         self._returns: dict[str, float] = {}
 
-    def _called(self, body: str, agent: str) -> str:
-        """Return the name of a body of an agent. A copy of a robot has the name of its agent."""
-        copies = self.env.scenario.agent.copies
-        return agent if copies and copies.robot == body else body
-
-    def _recorded_channels(
-        self, units: ShownUnits
-    ) -> Iterator[tuple[str, tuple[Channel | LossyChannel, MessageRecorder]]]:
-        """Yield the channels by robot and direction. From now on, they keep the messages that they
-        decode."""
-        for copy, agent in self.env.agents.items():
-            for (name, direction), channel in agent.channels.items():
-                assert channel.wire is not None  # only channels of tests have none
-                recorder = MessageRecorder(channel.wire, units)
-                channel.wire = cast("FieldCodec", recorder)
-                yield f"{self._called(name, copy)}/{direction}", (channel, recorder)
-
     def _pushed_links(self, models: Mapping[str, RobotModel]) -> Iterator[tuple[LinkName, Push]]:
         """Yield the links that disturbances push; without a link, the root of a robot or an object."""
         for name, agent in self.env.agents.items():
             for disturbance in self.env.scenario.disturbances:
                 push = getattr(agent, generated.push(disturbance.name), None)
                 if isinstance(push, Push):
-                    body = self._called(disturbance.body, name)
+                    body = _called(self.env, disturbance.body, name)
                     root = models[body].root if body in models else body
                     yield (body, disturbance.link or root), push
 

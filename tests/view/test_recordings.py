@@ -472,6 +472,29 @@ def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
             player.set_driver("balance")
 
 
+def test_worlds_that_have_ended_rest_beside_others_whose_actions_have_choices_and_ranges(tmp_path):
+    both = tmp_path / "both.yaml"
+    apply = "robots: {cart: {apply: {wheels: drive * wheel_speed * (1 + boost)}}}"
+    both.write_text(f"deepbots: 1\nextends: cartpole\nremove: [train]\naction: {{boost: 0 .. 1}}\n{apply}\n")
+    with closing(open_player(Showing(str(both), worlds=3).open(), RANDOM)) as player:
+        player.begin(0, 0)
+        while not player._running.resting.all():
+            player.step()
+        lengths = [player.choose(world).step for world in range(3)]
+        assert len(set(lengths)) > 1
+
+
+def test_a_world_that_is_chosen_at_the_reset_has_the_messages_of_its_own_reset():
+    with closing(open_player(Showing("cartpole", worlds=2).open(), ZERO)) as player:
+        for _ in range(2):
+            player.begin(0, 0)
+            messages = player.choose(1).messages
+            assert messages["cart/from_robot"].received
+            assert messages["cart/to_robot"].values == (None,)
+            player.step()
+            player.choose(0)
+
+
 def test_bodies_that_take_no_part_in_the_episode_are_left_out():
     with closing(Player(Showing("find_ball_random").open(), ZERO)) as player:
         names_of_bodies = [
@@ -589,16 +612,22 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
         before = player.driver._policy
         player.begin(0, 1)
         assert player.driver._policy is before
+        run.model("best").write_bytes(b"")  # newer, and would be refused
+        with closing(open_player(Showing(str(run.model("last"))).open())) as named:
+            named.begin(0, 0)
+            assert named.driver.note == "policy after 64 steps"
 
 
-def test_the_named_model_drives_a_batch_too(tmp_path):
+def test_the_named_model_drives_a_batch_too_and_its_note_names_other_physics(tmp_path):
     run = Run.open(_trained(tmp_path, "cartpole"))
     run.model("best").write_bytes(b"")  # which would be refused
+    run.update(physics=1)
     for worlds in (None, 2):
         shown = Showing(str(run.path), engine="mujoco", worlds=worlds, model="last")
         with closing(open_player(shown.open())) as player:
             player.begin(0, 0)
             assert player.step().step == 1
+            assert "was trained with physics 1" in player.note
 
 
 def test_the_page_of_a_training_names_the_stage_of_its_curriculum(tmp_path):
