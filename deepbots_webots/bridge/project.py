@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any, Protocol
 from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
+from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.port import Engine, EngineProxy
-from deepbots_cli.program.task import Training
+from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.records import dataclass
 from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
@@ -247,7 +248,8 @@ def lines_of(task: Supervisor) -> Any:
 
 
 SCENARIO, MODULE = "scenario.yaml", "environment.py"
-LEARNERS = frozenset(["PPO", "A2C", "DQN", "SAC", "TD3", "DDPG"])
+ON_POLICY = ("PPO", "A2C")
+LEARNERS = frozenset([*ON_POLICY, "DQN", "SAC", "TD3", "DDPG"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,13 +286,14 @@ class Project:
         """
         agent, training = self.program.agent, self.program.agent.training
         if training is not None and training.algorithm in LEARNERS:
-            settings = tuple(
-                replace(each, value=each.value * training.environments)
-                if each.name == "n_steps" and isinstance(each.value, int)
-                else each
-                for each in training.hyperparameters
-            )
-            return replace(training, replay=None, hyperparameters=settings)
+            settings = {each.name: each for each in training.hyperparameters}
+            if training.algorithm in ON_POLICY:
+                settings |= {
+                    each.name: Hyperparameter(each.name, each.value * training.environments)
+                    for each in effective_hyperparameters(self.program, training.total_timesteps)
+                    if each.name == "n_steps" and isinstance(each.value, int)
+                }
+            return replace(training, replay=None, hyperparameters=tuple(settings.values()))
         return Training("PPO" if agent.choices else "SAC", 100_000)
 
     @property

@@ -30,6 +30,7 @@ from deepbots_cli.words import shell_word
 from deepbots_webots.bridge import names
 from deepbots_webots.bridge.project import (
     MODULE,
+    ON_POLICY,
     SCENARIO,
     Project,
     ReaderLog,
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
-_ON_POLICY = ("PPO", "A2C")
 _LEFT_OUT = ("replay", "normalize", "teacher", "patience", "symmetry", "self_play")
 """What a training may have, and `train.py` has not."""
 
@@ -133,7 +133,7 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     if left_out := _left_out(project):
         gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
     training = project.training
-    if training.environments > 1 and training.algorithm in _ON_POLICY:
+    if training.environments > 1 and training.algorithm in ON_POLICY:
         gaps.differ(
             f"`train.py` trains in one world instead of {training.environments}, with as many steps in each"
             " update."

@@ -221,28 +221,37 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
 
 
 @pytest.mark.parametrize(
-    ("settings", "algorithm", "differs"),
+    ("settings", "algorithm", "differs", "steps_of_update"),
     [
-        ("{algorithm: DQN, total_timesteps: 1000}", "DQN", []),
+        ("{algorithm: DQN, total_timesteps: 1000}", "DQN", [], []),
         (
             "{algorithm: PPO, total_timesteps: 1000, normalize: reward}",
             "PPO",
             ["leaves out `normalize`"],
+            [256],
         ),
         (
             "{algorithm: RecurrentPPO, total_timesteps: 1000}",
             "PPO",
             ["leaves out `algorithm: RecurrentPPO` with its settings"],
+            [],
         ),
         (
             "{algorithm: PPO, total_timesteps: 1000, environments: 8, n_steps: 64}",
             "PPO",
             ["trains in one world instead of 8, with as many steps in each update"],
+            [512],
+        ),
+        (
+            "{algorithm: PPO, total_timesteps: 1000, environments: 32}",
+            "PPO",
+            ["trains in one world instead of 32, with as many steps in each update"],
+            [1024],
         ),
     ],
 )
 def test_the_training_is_that_of_the_scenario(
-    settings: str, algorithm: str, differs: list[str], tmp_path: Path
+    settings: str, algorithm: str, differs: list[str], steps_of_update: list[int], tmp_path: Path
 ):
     prepared = exported("cartpole", tmp_path, f"train={settings}")
     assert prepared.project.training.algorithm == algorithm
@@ -251,7 +260,7 @@ def test_the_training_is_that_of_the_scenario(
     assert re.findall("`train.py` ((?:leaves out|trains in one) .*)[.]", readme) == differs
     training = load_project(tmp_path / "scenario").training
     n_steps = [each.value for each in training.hyperparameters if each.name == "n_steps"]
-    assert n_steps == [512] * ("n_steps" in settings)
+    assert n_steps == steps_of_update
 
 
 def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):
