@@ -335,7 +335,14 @@ class InertialUnit(Sensor):
             for axis, angle in zip("xyz", self._roll_pitch_yaw(rotation), strict=True)
         )
         self._angles = x, y, z
-        self._turned = frames.quaternion(x, y, z) if noise else rotation
+        self._turned = self._rotation(x, y, z) if noise else rotation
+
+    def _rotation(self, roll: float, pitch: float, yaw: float) -> Quaternion:
+        """Return the rotation with these angles, of which `_roll_pitch_yaw` is the inverse."""
+        if self._simulation.scene.directions[UP] == AXES[UP]:
+            return frames.quaternion(roll, pitch, yaw)
+        x, y, z, w = frames.quaternion(roll, -pitch, yaw)
+        return x, z, -y, w
 
     def _roll_pitch_yaw(self, rotation: Quaternion) -> Triple:
         """Return the angles about x, about the axis to its left, and about the upward one."""

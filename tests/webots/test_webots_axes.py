@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 
 import pytest
@@ -125,6 +126,13 @@ TURNED = "rotation 0 1 0 0.3"
         ("rotation 1 0 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0.3, 0, 0]),
         ("rotation 0 1 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0, 0.3]),
         ("rotation 0 0 1 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0.3, 0]),
+        (
+            TURNED,
+            "InertialUnit { noise 1e-9 }",
+            "",
+            lambda unit: unit.getQuaternion(),
+            [0, math.sin(0.15), 0, math.cos(0.15)],
+        ),
         (
             "",
             "Lidar { horizontalResolution 3 fieldOfView 1 numberOfLayers 1 maxRange 9 near 0.01 }",
