@@ -479,7 +479,8 @@ class _Parser:
             self.take()
             value.alias = self.word("the name of a field of the PROTO").text
         elif first.kind == 3:
-            value.items += self.number_list()
+            while self.token.kind == 3:  # more than one list where a comment is between the numbers
+                value.items += self.number_list()
         else:
             value.items.append(self.item())
         return value

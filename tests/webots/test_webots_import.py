@@ -584,6 +584,11 @@ DEF ROBOT Robot { translation 0 0 .1 children [ DEF SHAPE Shape { geometry Box {
 """
 
 
+def test_a_comment_between_the_numbers_of_a_field_is_left_out():
+    (body,) = parse(Source("a.wbt", "#VRML_SIM R2023b utf8\nSolid { translation 1 2 # up\n 3 }")).nodes
+    assert body.fields["translation"].items == [1.0, 2.0, 3.0]
+
+
 def errors(text: str) -> list[str]:
     """Return the headlines of a world that cannot run."""
     try:
