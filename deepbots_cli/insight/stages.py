@@ -8,6 +8,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from decimal import ROUND_FLOOR, Context
 from statistics import fmean, median
 from typing import Any
 
@@ -128,7 +129,8 @@ def _measured(episodes: Any, until: Criterion) -> Any:
 
 def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
     """Return the key with another threshold, in the syntax of the scenario."""
-    threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{value:.4g}"
+    below = Context(prec=4, rounding=ROUND_FLOOR).create_decimal(str(value))  # a higher one was not reached
+    threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{below:f}"
     counted = (
         "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
     )
