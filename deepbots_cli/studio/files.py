@@ -74,6 +74,7 @@ class OpenFile:
         saved: The text of the file when the studio last read or wrote it.
         revision: The number of the present text; each change counts up.
         outside: The text of the file on disk if another program changed it while `text` was not saved.
+        unreadable: Why the file on disk, which another program changed, cannot be read; empty if it can.
         read_only: Whether the studio may not write the file.
         is_gone: Whether the file was removed while it was open.
     """
@@ -83,6 +84,7 @@ class OpenFile:
     saved: str = ""
     revision: int = 1
     outside: str | None = None
+    unreadable: str = ""
     read_only: bool = False
     is_gone: bool = False
     form: Form = Form()
@@ -134,6 +136,10 @@ class OpenFile:
         if self.read_only:
             raise UsageError(f"{self.path.name} belongs to deepbots or another project; save a copy of it")
         self.read_outside()
+        if self.unreadable:
+            raise UsageError(
+                f"another program has changed {self.path.name}: {self.unreadable}; move it away first"
+            )
         if self.outside is not None:
             raise UsageError(f"another program has changed {self.path.name}; take its text or keep this one")
         if not self.is_modified:
@@ -154,13 +160,14 @@ class OpenFile:
         stamp = _stamp(self.path)
         if stamp == self._stamp:
             return False
-        self._stamp = stamp
+        self._stamp, self.unreadable = stamp, ""
         was_gone, self.is_gone = self.is_gone, stamp == (0, 0)
         if self.is_gone:
             return not was_gone  # the text stays, and can be saved
         try:
             text, self.form = read_text(self.path)
-        except UsageError:
+        except UsageError as error:
+            self.unreadable = str(error)
             return was_gone
         before = self.outside
         if text == self.saved:

@@ -581,6 +581,18 @@ def test_a_save_does_not_overwrite_what_another_program_wrote(file):
     assert file.path.read_text("utf-8") == "a: 2\n"
 
 
+def test_a_save_does_not_overwrite_what_another_program_wrote_in_another_encoding(file):
+    file.change(file.revision, "a: 2\n")
+    file.path.write_bytes(b"b: \xe4  # an hour of work\n")
+    file.read_outside()
+    with pytest.raises(UsageError, match=r"has changed mine\.yaml: mine\.yaml is not text in UTF-8; move"):
+        file.save()
+    assert file.path.read_bytes() == b"b: \xe4  # an hour of work\n"
+    file.path.rename(file.path.with_suffix(".txt"))
+    file.save()
+    assert file.path.read_text("utf-8") == "a: 2\n"
+
+
 def test_a_file_that_returns_to_its_text_is_no_change(file):
     file.change(file.revision, "a: 2\n")
     for number, text in enumerate(("a: 33\n", "a: 1\n")):
