@@ -14,6 +14,8 @@ from typing import NamedTuple
 from deepbots_cli.diagnostics.nearest import Replacement
 
 Exponent = int | Fraction
+MAX_UNIT_EXPONENT = 8
+"""The largest power of a unit behind a number, which is a whole number."""
 
 _WRITTEN_OUT = {
     word: unit
@@ -84,7 +86,14 @@ class Dimension(NamedTuple):
     @property
     def example(self) -> str:
         """A value with its unit, for a hint."""
-        return physical_quantity(self).example or f"0.5 {self}"
+        return physical_quantity(self).example or f"0.5 {self.unit_behind_number}"
+
+    @property
+    def unit_behind_number(self) -> str:
+        """The SI unit as it is written behind a number; as a factor where its exponents are too large, or
+        fractions."""
+        is_unit = all(int(power) == power and abs(power) <= MAX_UNIT_EXPONENT for power in self)
+        return str(self) if is_unit else f"* {self}"
 
 
 def _without_angle(m: Exponent, kg: Exponent, s: Exponent, rad: Exponent) -> Dimension:

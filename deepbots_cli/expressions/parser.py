@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import nearest
 from deepbots_cli.diagnostics.nearest import Replacement
-from deepbots_cli.expressions.dimensions import ONE, UNITS, Unit
+from deepbots_cli.expressions.dimensions import MAX_UNIT_EXPONENT, ONE, UNITS, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.syntax import (
     KEYWORDS,
@@ -231,7 +231,7 @@ class _Parser:
             return unit
         is_negative = self._take("-")
         digits = self._next()
-        if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > _MAX_FACTORS:
+        if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > MAX_UNIT_EXPONENT:
             headline = "the exponent of a unit must be a small whole number"
             raise _SyntaxError(
                 power.start, digits.end, headline, "put the number and its unit in parentheses"

@@ -251,7 +251,8 @@ def missing_unit(
     replacement = None
     corrected = None
     constants = [end for end in ends if isinstance(end, Constant)]
-    if len(constants) == len(ends):
+    factor = dimension.unit_behind_number
+    if len(constants) == len(ends) and (factor == str(dimension) or value.type.components is None):
         numbers_text = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
         units = _probable_units(dimension, largest)
@@ -325,7 +326,7 @@ def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
     if dimension == LENGTH and largest >= _HAND:
         return ("m", "cm", "mm")
     if dimension != ANGLE:
-        return (str(dimension),)
+        return (dimension.unit_behind_number,)
     return ("deg",) if largest > 2 * math.pi else ("deg", "rad")  # nobody writes three turns in radians
 
 
@@ -487,14 +488,12 @@ def warn_of_degrees(value: TypedNode, report: FindingReporter) -> None:
     Wheels turn by hundreds of radians; only values up to 180 and from 270 to 360 count.
     """
     if isinstance(value, Constant) and value.unit is not None and value.unit.text == "rad":
-        largest = max(abs(number) for number in value.values)
-        if 2 * math.pi < largest <= 180.0 or 270.0 <= largest <= 360.0:
-            headline = f"{largest:g} rad is more than a full turn"
-            help = f"write `{largest:g} deg` if you mean degrees"
-            replacement = (
-                Replacement(f"{value.values[0]:g} deg", safe=False) if len(value.values) == 1 else None
-            )
-            report_at(report, "DB504", value, headline, help, replacement)
+        farthest = max(value.values, key=abs)
+        if 2 * math.pi < abs(farthest) <= 180.0 or 270.0 <= abs(farthest) <= 360.0:
+            headline = f"{_number_text(farthest)} rad is more than a full turn"
+            degrees = f"{_number_text(farthest)} deg"
+            replacement = Replacement(degrees, safe=False) if len(value.values) == 1 else None
+            report_at(report, "DB504", value, headline, f"write `{degrees}` if you mean degrees", replacement)
 
 
 # Whether a value fits its field
@@ -648,13 +647,12 @@ def _require_size(value: TypedNode, known: Known, description: str, report: Find
 def negated_text(value: TypedNode) -> Callable[[str], str]:
     """Return a function that makes the text of the negated value from the text of the value; of `a when c`,
     `a` is negated."""
-    is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
-    part = value.args[1] if is_when and isinstance(value, Operation) else value
+    part = _amount(value)
     length = part.end - part.start
 
     def turned(text: str) -> str:
         amount, remainder = text[:length], text[length:]
-        if isinstance(part, Operation) and part.operator == "where" and part.args[1].start == part.start:
+        if _is_conditional(part):
             return f"-({amount}){remainder}"
         if not (isinstance(part, Operation) and _is_sum(part)):
             return amount[1:].lstrip() + remainder if amount.startswith("-") else f"-{amount}{remainder}"
@@ -667,19 +665,24 @@ def negated_text(value: TypedNode) -> Callable[[str], str]:
 
 
 def divided_text(value: TypedNode, divisor: str) -> Callable[[str], str]:
-    """Return a function that puts `divisor` behind the text of a value; a sum or a condition is put in
-    parentheses."""
+    """Return a function that puts `divisor` behind the text of a value, of `a when c` behind `a`; a sum or a
+    conditional is put in parentheses."""
+    part = _amount(value)
+    before, behind = ("(", ")") if _is_sum(part) or _is_conditional(part) else ("", "")
+    return lambda text: (
+        f"{text[: part.start]}{before}{text[part.start : part.end]}{behind}{divisor}{text[part.end :]}"
+    )
 
-    def divided(text: str) -> str:
-        part = text[value.start : value.end]
-        needs_parentheses = isinstance(value, Operation) and (
-            _is_sum(value) or (value.operator == "where" and not part.startswith("("))
-        )
-        return (
-            f"{text[: value.start]}{f'({part})' if needs_parentheses else part}{divisor}{text[value.end :]}"
-        )
 
-    return divided
+def _amount(value: TypedNode) -> TypedNode:
+    """Return `a` of `a when c`, and any other value as it is."""
+    is_when = isinstance(value, Operation) and value.operator == "where" and value.args[2].start == value.end
+    return value.args[1] if is_when and isinstance(value, Operation) else value
+
+
+def _is_conditional(value: TypedNode) -> bool:
+    """Return whether it is `a if c else b` without parentheses around it."""
+    return isinstance(value, Operation) and value.operator == "where" and value.args[1].start == value.start
 
 
 def _is_sum(value: TypedNode) -> bool:
