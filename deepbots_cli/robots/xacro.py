@@ -287,7 +287,18 @@ class _Expander:
             if not self.is_old:
                 self.is_old = True
                 template.warn(f"<{template.tag}> lacks its prefix", help=f"write <{name}>, as ROS needs it")
-        return _STATEMENTS.get(name)
+        if name in _UNSUPPORTED:
+            raise XacroError(f"deepbots does not support <{name}>", WAY_OUT)
+        statement, known = _STATEMENTS.get(name, (None, ""))
+        for key in template.attributes if known else ():
+            if ":" not in key and key not in known.split():
+                template.warn(
+                    f"<{name}> has no attribute {quoted(key)}, so deepbots ignores it, as ROS does",
+                    attribute=key,
+                    help=known_names_help(key, known.split(), "attributes"),
+                    kind="attribute of a statement of xacro",
+                )
+        return statement
 
     def plain(self, template: Element, scope: Scope, into: Element) -> None:
         attributes, source = self.plain_attributes(template, scope), template.source or template.report.source
@@ -308,6 +319,10 @@ class _Expander:
         name = str(self.attribute(template, "name", scope))
         if not name.isidentifier() or name.startswith("__"):
             raise _error(template, "name", f"{quoted(name)} is not a name for a property")
+        if self.condition(template, "remove", scope, "false"):
+            for names in scope.maps[:-1]:
+                names.pop(name, None)
+            return
         key = next((key for key in ("value", "default") if key in template.attributes), None)
         if key == "default" and name in scope:
             return
@@ -489,16 +504,18 @@ class _Expander:
         return content
 
 
-_STATEMENTS: dict[str, Callable[[_Expander, Element, Scope, Element], None]] = {
-    "xacro:property": _Expander.define_property,
-    "xacro:arg": _Expander.define_argument,
-    "xacro:macro": _Expander.define_macro,
-    "xacro:include": _Expander.include,
-    "xacro:insert_block": _Expander.insert_block,
-    "xacro:if": _Expander.choose,
-    "xacro:unless": _Expander.choose,
-    "xacro:call": _Expander.call_by_name,
+_STATEMENTS: dict[str, tuple[Callable[[_Expander, Element, Scope, Element], None], str]] = {
+    "xacro:property": (_Expander.define_property, "name value default remove scope lazy_eval"),
+    "xacro:arg": (_Expander.define_argument, "name default"),
+    "xacro:macro": (_Expander.define_macro, "name params"),
+    "xacro:include": (_Expander.include, "filename ns optional"),
+    "xacro:insert_block": (_Expander.insert_block, "name"),
+    "xacro:if": (_Expander.choose, "value"),
+    "xacro:unless": (_Expander.choose, "value"),
+    "xacro:call": (_Expander.call_by_name, ""),
 }
+"""The function and the attributes of each statement; a call has those of its macro."""
+_UNSUPPORTED = ("xacro:attribute", "xacro:element")
 
 
 _OLD_STATEMENTS = {

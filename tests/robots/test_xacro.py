@@ -189,6 +189,8 @@ def test_an_expression_has_the_value_of_ros(expression, expected):
         ('<xacro:property name="p" default="x"/><xacro:property name="p" default="y"/><link name="${p}"/>', ["x"]),
         ('<xacro:property name="p" value="1"/><xacro:property name="q" value="${p}"/><xacro:property name="p"'
          ' value="2"/><link name="${q}"/>', ["2"]),
+        ('<xacro:property name="p" value="1"/><xacro:property name="p" remove="true"/><xacro:property name="p"'
+         ' default="2"/><link name="${p}"/>', ["2"]),
         ('<xacro:property name="p" value="1"/><xacro:property name="q" value="${p}" lazy_eval="false"/>'
          '<xacro:property name="p" value="2"/><link name="${q}"/>', ["1"]),
         ('<xacro:property name="block"><link name="a"/><link name="b"/></xacro:property>'
@@ -308,6 +310,8 @@ def test_statements_without_their_prefix_are_read_as_before_ros_noetic(tmp_path)
         ('<xacro:property name="a b" value="1"/>', "'a b' is not a name for a property", "a b"),
         ('<xacro:property value="1"/>', "<xacro:property> without the attribute 'name'",
          '<xacro:property value="1"/>'),
+        ('<link name="a"><xacro:attribute name="type" value="b"/></link>',
+         "deepbots does not support <xacro:attribute>", '<xacro:attribute name="type" value="b"/>'),
         ('<xacro:include filename="https://example.org/a.xacro"/>',
          "the file 'https://example.org/a.xacro' cannot be read", "https://example.org/a.xacro"),
     ],
@@ -580,3 +584,15 @@ def test_a_color_that_remains_in_an_expanded_file_is_a_warning():
     assert [finding.headline for finding in findings] == [
         "deepbots ignores the macro 'gray', because the file defines none"
     ]
+
+
+def test_an_unknown_attribute_of_a_statement_is_a_warning_as_in_ros(tmp_path):
+    findings = Findings()
+    source = Source("r.urdf", robot('<xacro:property name="a" value="1" valeu="2"/><link name="l${a}"/>'))
+    root = parse(source, findings)
+    assert root is not None
+    expanded = expand(root, mesh_resolver(tmp_path), {}, findings)
+    assert expanded is not None
+    root.report.report_repeated()
+    assert [link.attributes["name"] for link in expanded.root.find_all("link")] == ["l1"]
+    assert [(finding.severity, finding.span.text) for finding in findings] == [("warning", "2")]
