@@ -507,6 +507,7 @@ def test_the_ranges_of_commands_are_those_of_the_training() -> None:
         "parameters.way=uniform(-0.2 -2 .. 0.4 2 m/s)",
         "augment=[vx, wz, way]",
         "observation.way=-1 .. 1 m/s",
+        "observation.wz={range: -0.3 .. 0.3 rad/s, clip: false}",
     )[0].program
     assert deploy_settings(program)["commands"] == {
         "vx": {"ranges": {"vx": [-0.5, 1.0]}},
@@ -530,6 +531,11 @@ def test_the_ranges_of_commands_are_those_of_the_training() -> None:
             WALK,
             ["robots.dog.apply.legs=stand + reach * stride^3"],
             "`apply.legs` is not a scale and an offset",
+        ),
+        (
+            WALK,
+            ["robots.dog.actuators.legs.max_velocity=0.1 rad/s"],
+            "'legs' has a `max_velocity`, which the runners of Isaac Lab cannot limit",
         ),
     ],
 )
