@@ -22,7 +22,7 @@ from heapq import heappop, heappush
 from math import hypot, inf
 from operator import itemgetter
 from types import GenericAlias
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -252,8 +252,8 @@ _CSV_READERS: dict[str, Callable[[str], Value]] = {
 }
 
 
-def _msgspec_codec(library: Any, layout_hash: int, codes: list[str]) -> Codec:
-    kinds = {"?": bool, "d": float, "s": bytes}
+def _msgspec_codec(library: Any, layout_hash: int, codes: list[str], number: Any = float) -> Codec:
+    kinds = {"?": bool, "d": number, "s": bytes}
     checked = GenericAlias(tuple, (int, *(kinds[code[-1]] for code in codes)))
     encoder, decoder = library.Encoder().encode, library.Decoder(checked).decode
     return Codec(
@@ -263,7 +263,28 @@ def _msgspec_codec(library: Any, layout_hash: int, codes: list[str]) -> Codec:
     )
 
 
-json_codec, msgpack_codec = partial(_msgspec_codec, msgspec.json), partial(_msgspec_codec, msgspec.msgpack)
+def json_codec(layout_hash: int, codes: list[str]) -> Codec:
+    """Return the codec of JSON, which has no infinite numbers: they are the texts `inf` and `-inf`."""
+    finite = _msgspec_codec(msgspec.json, layout_hash, codes)
+    any_number = _msgspec_codec(msgspec.json, layout_hash, codes, float | Literal["inf", "-inf"])
+
+    def encode(*values: Value) -> Any:
+        message = finite.encode(*values)
+        if b"null" not in message:
+            return message
+        return finite.encode(*(repr(float(value)) if value in (inf, -inf) else value for value in values))
+
+    def decode(message: Any) -> Sequence[Any]:
+        try:
+            return finite.decode(message)
+        except msgspec.ValidationError:
+            values = any_number.decode(message)
+            return [float(value) if isinstance(value, str) else value for value in values]
+
+    return Codec(encode, decode, finite.parts)
+
+
+msgpack_codec = partial(_msgspec_codec, msgspec.msgpack)
 
 
 def layout_error(layout: MessageLayout, format: str, message: object, step: int) -> MessageError:

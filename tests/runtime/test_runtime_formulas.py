@@ -424,6 +424,12 @@ def test_a_message_with_too_many_values_is_refused(format: str) -> None:
     assert "too many values" in str(layout_error(LAYOUT, format, message, 1))
 
 
+@every_format
+def test_a_distance_to_what_is_not_there_arrives_in_every_format(format: str) -> None:
+    values = (math.inf, -math.inf, 0.0, 0.5, True)
+    assert reading(codec(LAYOUT, format), LAYOUT, codec(LAYOUT, format).encode(*values)) == values
+
+
 @pytest.mark.parametrize(
     ("format", "message", "field"),
     [
