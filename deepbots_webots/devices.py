@@ -206,30 +206,14 @@ class Motor(JointDevice):
 # Messages, and devices that do little
 
 
-class Emitter(Device):
-    """Sends messages to the receivers of other robots."""
+class _ChannelDevice(Device):
+    """An emitter or a receiver."""
 
     CHANNEL_BROADCAST = -1
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
-        self._channel = integer(spec.node, "channel")
-        self._range = number(spec.node, "range")
-        self._size = integer(spec.node, "bufferSize")
-
-    def send(self, message: str | bytes | Sequence[float]) -> int:
-        """Send a text, bytes or numbers; returns 1, or 0 if the message is larger than the buffer."""
-        if isinstance(message, str):
-            # A C string, as in Webots; it counts for the size of the buffer.
-            data = message.encode("utf-8") + b"\0"
-        elif isinstance(message, bytes | bytearray | memoryview):
-            data = bytes(message)
-        else:
-            data = struct.pack(f"{len(message)}d", *message)
-        if 0 <= self._size < len(data):
-            return 0
-        self._simulation.send(self._spec, data, self._channel, self._range)
-        return 1
+        self._channel, self._size = integer(spec.node, "channel"), integer(spec.node, "bufferSize")
 
     getChannel = returns("_channel")
 
@@ -239,6 +223,28 @@ class Emitter(Device):
             self._warn(f"channel {channel} is not allowed")
             return
         self._channel = int(channel)
+
+
+class Emitter(_ChannelDevice):
+    """Sends messages to the receivers of other robots."""
+
+    def __init__(self, simulation: Simulation, spec: Spec) -> None:
+        super().__init__(simulation, spec)
+        self._range = number(spec.node, "range")
+
+    def send(self, message: str | bytes | Sequence[float]) -> int:
+        """Send a text, bytes or numbers; returns 1, or 0 if the buffer has no room for it."""
+        if isinstance(message, str):
+            # A C string, as in Webots; it counts for the size of the buffer.
+            data = message.encode("utf-8") + b"\0"
+        elif isinstance(message, bytes | bytearray | memoryview):
+            data = bytes(message)
+        else:
+            data = struct.pack(f"{len(message)}d", *message)
+        if 0 <= self._size < self._simulation.waiting_bytes(self._spec) + len(data):
+            return 0
+        self._simulation.send(self._spec, data, self._channel, self._range)
+        return 1
 
     getRange = returns("_range")
 
@@ -252,14 +258,11 @@ class Emitter(Device):
     getBufferSize = returns("_size")
 
 
-class Receiver(Sensor):
+class Receiver(_ChannelDevice, Sensor):
     """Messages of other robots, in the order in which they were sent."""
-
-    CHANNEL_BROADCAST = -1
 
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
-        self._channel, self._size = integer(spec.node, "channel"), integer(spec.node, "bufferSize")
         self._arrived: list[Packet] = []
         self._queue: deque[Packet] = deque()
 
@@ -330,10 +333,6 @@ class Receiver(Sensor):
         return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
 
     getDataSize = returns_count("_head.data")
-    getChannel = returns("_channel")
-
-    def setChannel(self, channel: int) -> None:
-        self._channel = int(channel)
 
 
 class LED(Device):

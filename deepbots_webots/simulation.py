@@ -190,6 +190,10 @@ class Simulation:
 
     # Messages
 
+    def waiting_bytes(self, emitter: Device) -> int:
+        """Return the size of the messages of an emitter that are sent in the next basic time step."""
+        return sum(len(packet.data) for packet in self._outbox if packet.emitter is emitter)
+
     def send(self, emitter: Device, data: bytes, channel: int, reach: float) -> None:
         """Send a message in the next basic time step; `reach` is in m, negative without a limit."""
         self._outbox.append(Packet(data, emitter, channel, reach))

@@ -264,15 +264,20 @@ def _msgspec_codec(library: Any, layout_hash: int, codes: list[str], number: Any
 
 
 def json_codec(layout_hash: int, codes: list[str]) -> Codec:
-    """Return the codec of JSON, which has no infinite numbers: they are the texts `inf` and `-inf`."""
+    """Return the codec of JSON, which has finite numbers only: others are the texts `inf`, `-inf` and `nan`."""
     finite = _msgspec_codec(msgspec.json, layout_hash, codes)
-    any_number = _msgspec_codec(msgspec.json, layout_hash, codes, float | Literal["inf", "-inf"])
+    any_number = _msgspec_codec(msgspec.json, layout_hash, codes, float | Literal["inf", "-inf", "nan"])
 
     def encode(*values: Value) -> Any:
         message = finite.encode(*values)
         if b"null" not in message:
             return message
-        return finite.encode(*(repr(float(value)) if value in (inf, -inf) else value for value in values))
+        return finite.encode(
+            *(
+                repr(float(value)) if isinstance(value, float) and not math.isfinite(value) else value
+                for value in values
+            )
+        )
 
     def decode(message: Any) -> Sequence[Any]:
         try:

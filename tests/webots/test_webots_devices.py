@@ -533,6 +533,24 @@ def test_a_message_arrives_where_channel_range_and_cone_allow(emitter: str, rece
     assert exchange(emitter, receiver)[0].getQueueLength() == count
 
 
+def test_the_buffer_of_an_emitter_is_full_until_its_messages_are_sent():
+    simulation = simulate(PAIR % ("bufferSize 8", ""), 32)
+    emitter = device(simulation, "emitter", 0)
+    assert [emitter.send(b"12345"), emitter.send(b"12345"), emitter.send(b"123")] == [1, 0, 1]
+    simulation.run_step()
+    assert emitter.send(b"12345") == 1
+
+
+def test_a_channel_that_is_not_allowed_is_not_taken():
+    allowed = "channel 1 allowedChannels [1 2]"
+    simulation = simulate(PAIR % (allowed, allowed), 32)
+    for name, robot in (("emitter", 0), ("receiver", 1)):
+        radio = device(simulation, name, robot)
+        radio.setChannel(2)
+        radio.setChannel(7)
+        assert radio.getChannel() == 2
+
+
 def test_messages_keep_their_order():
     simulation = simulate(PAIR % ("", ""), 32)
     inbox = device(simulation, "receiver", 1)
