@@ -280,6 +280,27 @@ def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_o
     assert (tmp_path / "mine.schema.json").exists()
 
 
+def test_new_with_its_schema_again_changes_nothing(deepbots):
+    words = ("new", "mine", "--template", "pit", "--schema")
+    deepbots(*words)
+    assert deepbots(*words).out.splitlines() == ["mine.yaml (unchanged)", "mine.schema.json (unchanged)"]
+
+
+@pytest.mark.parametrize("name", ["null", "true"])
+def test_a_scenario_called_like_a_word_of_yaml_has_no_finding(deepbots, tmp_path, name):
+    deepbots("new", name, "--template", "pit", "--json")
+    assert api.lint(tmp_path / f"{name}.yaml") == []
+
+
+def test_the_command_for_a_robot_outside_the_project_has_the_options_that_were_given(deepbots, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    words = ["new", "own", "--urdf", "rover.urdf", "--kind", "differential", "--project", "mine", "--force"]
+    refused = deepbots(*words, code=2).err
+    assert f"`deepbots {' '.join(words)} --copy`" in refused
+    deepbots(*words, "--copy")
+
+
 def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))

@@ -153,6 +153,7 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
     "new": {
         "--template --from --urdf --webots --lesson": "--template --from --urdf --webots --lesson",
         "--project": "--schema; writes a schema for all its scenarios",
+        "--lesson": "--project --schema; writes no scenario of its own",
     },
     "render": {"--follow": "--from --at; moves the camera"},
     "serve": {

@@ -153,7 +153,10 @@ def command(
     first: FirstScenario | None = None
     if urdf:
         choices = Choices(kind, task, xacro_arguments(xacro))
-        contents, first = _from_robot(urdf, name, folder, permissions, choices, copy=copy)
+        place = f" --project {shell_word(project)}" if project is not None else _folder_argument(folder)
+        base = f"deepbots new {name} --urdf {shell_word(urdf)}{_choice_options(choices)}{place}"
+        base += f"{' --schema' if schema else ''}{' --force' if force else ''}{_options(permissions.folders)}"
+        contents, first = _from_robot(urdf, name, folder, permissions, choices, base, copy=copy)
         _note_kind(urdf, first)
     elif webots is not None:
         starter = entry_of_webots("starter")(webots, protos or (), name, scenario_title(name))
@@ -163,7 +166,7 @@ def command(
     if project is not None:
         contents |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
         contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
-    unchanged = _unchanged(contents, folder)
+    before = _contents([*(folder / target for target in contents), folder / f"{name}.schema.json"])
     write = write_with_schema if schema else write_new
     paths = write(contents, folder, force=force)
     if copy:
@@ -175,7 +178,8 @@ def command(
     has_schema = bool(schema or project)
     commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
     todos = None if starter is None else starter.todos
-    _show(paths, unchanged, commands, permissions, first, as_json=as_json, todos=todos)
+    unchanged = before.items() & _contents(paths).items()
+    _show(paths, {path for path, _ in unchanged}, commands, permissions, first, as_json=as_json, todos=todos)
 
 
 def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
@@ -269,21 +273,24 @@ def _options(folders: Iterable[str | Path]) -> str:
 
 
 def _from_robot(
-    robot: str, name: str, folder: Path, permissions: Permissions, choices: Choices, *, copy: bool
+    robot: str,
+    name: str,
+    folder: Path,
+    permissions: Permissions,
+    choices: Choices,
+    base: str,
+    *,
+    copy: bool,
 ) -> tuple[Files, FirstScenario]:
     """Return the files for a robot file, and what was chosen for it; a file whose meshes are in folders that
-    are not allowed is refused with the commands that allow them."""
+    are not allowed is refused with the commands that allow them, which begin with `base`."""
     try:
-        return from_robot(robot, name, folder, permissions, choices, copy=copy)
+        return from_robot(robot, name, folder, permissions, choices, base, copy=copy)
     except RobotError as error:
         if not error.allow:
             raise
         terminal.show_findings(error.findings)
-        allowed = _options([*permissions.folders, *error.allow])
-        words = "".join(
-            f" --xacro-arg {shell_word(f'{key}:={value}')}" for key, value in choices.xacro.items()
-        )
-        base = f"deepbots new {shell_word(name)} --urdf {shell_word(robot)}{words}{_folder_argument(folder)}{allowed}"
+        base += _options(error.allow)
         terminal.note(
             f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
             f"to leave them where they are, and allow the folder in each command:\n  {base}"
@@ -298,6 +305,13 @@ def _note_kind(urdf: str, first: FirstScenario) -> None:
     terminal.note(f"{urdf} is {first.judgment}\nthe task of its scenario is `{first.task}`{choice}")
 
 
+def _choice_options(choices: Choices) -> str:
+    """Return the options for these choices, with a blank before each."""
+    arguments = (("--xacro-arg", f"{key}:={value}") for key, value in choices.xacro.items())
+    options = [("--kind", choices.kind), ("--task", choices.task), *arguments]
+    return "".join(f" {option} {shell_word(value)}" for option, value in options if value is not None)
+
+
 def _folder_argument(folder: Path) -> str:
     return "" if folder == Path(".") else f" {shell_word(folder)}"
 
@@ -308,12 +322,13 @@ def from_robot(
     folder: Path,
     permissions: Permissions,
     choices: Choices,
+    base: str,
     *,
     copy: bool = False,
 ) -> tuple[Files, FirstScenario]:
     """Return the scenario `NAME.yaml` in `folder` for a robot file: a path, the name of a shipped robot, or
     package://...; with `copy` also the robot file and its meshes, in a folder of their own. Also returns what
-    was chosen for it.
+    was chosen for it. Commands in an error begin with `base`.
 
     Raises:
         UsageError: The file does not exist, a scenario in the folder may not read it, the robot has no joint
@@ -322,7 +337,7 @@ def from_robot(
     """
     file, findings = open_robot(robot, permissions.folders, choices.xacro)
     copies = _copies(file, robot_path(robot, permissions.folders)) if copy else {}
-    reference = next(iter(copies)).as_posix() if copies else _reference(robot, name, folder, permissions)
+    reference = next(iter(copies)).as_posix() if copies else _reference(robot, folder, permissions, base)
     if copies:  # a copy is expanded
         choices = replace(choices, xacro={})
     try:
@@ -353,8 +368,8 @@ def _copies(file: RobotFile, path: Path) -> Files:
     }
 
 
-def _reference(robot: str, name: str, folder: Path, permissions: Permissions) -> str:
-    """Return the reference to a robot file in a scenario in `folder`."""
+def _reference(robot: str, folder: Path, permissions: Permissions, base: str) -> str:
+    """Return the reference to a robot file in a scenario in `folder`; commands in an error begin with `base`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
@@ -364,12 +379,11 @@ def _reference(robot: str, name: str, folder: Path, permissions: Permissions) ->
         [project_root(folder), *shipped.data_roots(), *allowed_folders(permissions.folders)],
     )
     if isinstance(referenced, UnusableFile):
-        command = f"deepbots new {shell_word(name)} --urdf {shell_word(robot)}{_folder_argument(folder)}"
         parent = shell_word(os.path.dirname(robot) or ".")
         raise UsageError(
             f"a scenario in {folder.resolve()} may not read {robot}, because the file {referenced.problem};"
-            f" copy it with its meshes: `{command} --copy`; or allow its folder, here and in later commands:"
-            f" `{command} --allow-path {shell_word(parent)}`; a robot of an installed package is named as"
+            f" copy it with its meshes: `{base} --copy`; or allow its folder, here and in later commands:"
+            f" `{base} --allow-path {shell_word(parent)}`; a robot of an installed package is named as"
             " package://PACKAGE/PATH"
         )
     return path
@@ -481,13 +495,9 @@ def _references(file: Path, text: str) -> Iterator[tuple[ScalarNode, Path]]:
 # Writing
 
 
-def _unchanged(files: Files, folder: Path) -> set[Path]:
-    """Return the paths of the files that are already in `folder` with this content."""
-    return {
-        folder / target
-        for target, content in files.items()
-        if (folder / target).is_file() and (folder / target).read_bytes() == content
-    }
+def _contents(paths: Iterable[Path]) -> dict[Path, bytes]:
+    """Return the contents of those paths that are files."""
+    return {path: path.read_bytes() for path in paths if path.is_file()}
 
 
 def _show(
@@ -528,10 +538,11 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     """
     (target, text), *remaining = files.items()
     schema = target.with_suffix(".schema.json")
-    # Unlike `exists`, this finds a link that leads nowhere, too.
-    if os.path.lexists(folder / schema):
-        refuse_overwriting(folder / schema, force=force)
     with_modeline = f"{modeline(folder / target, folder / schema)}\n\n".encode() + text
+    is_new = _contents([folder / target]) != {folder / target: with_modeline}
+    # Unlike `exists`, this finds a link that leads nowhere, too.
+    if is_new and os.path.lexists(folder / schema):
+        refuse_overwriting(folder / schema, force=force)
     paths = write_new({target: with_modeline, **dict(remaining)}, folder, force=force)
     return [
         *paths,

@@ -245,8 +245,8 @@ def with_comment(line: str) -> str:
 
 
 def scenario_title(name: str) -> str:
-    """Return the name of a scenario in the file of this name: `my_robot` becomes `MyRobot`."""
-    return "".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part)
+    """Return the name of a scenario in the file of this name, as YAML: `my_robot` becomes `MyRobot`."""
+    return plain_or_quoted("".join(part[0].upper() + part[1:] for part in re.split("[_-]+", name) if part))
 
 
 _FOLDER = Path(__file__).parent
