@@ -98,7 +98,7 @@ class Notices:
             return
         with self._place, ui.element("div").classes("studio-notice") as box:
             # A new element begins the animation that hides it.
-            box.style(f"animation-duration: {_NOTICE_S}s").props(f"title={json.dumps(text)}")
+            box.style(f"animation-duration: {_NOTICE_S}s").props["title"] = text
             box.classes("studio-notice-warning" if is_warning else "")
             # An element that only is invisible keeps its row of a narrow header.
             ui.timer(_NOTICE_S, box.delete, once=True)

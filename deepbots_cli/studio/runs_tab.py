@@ -335,10 +335,11 @@ class RunsTab:
     def _add_advised_command(self, command: list[str], output: ui.element) -> None:
         if command[:1] and command[0] in _ADVISED_COMMANDS:
             last = command[-1].replace("_", ",")
-            ui.button(
+            button = ui.button(
                 _ADVISED_COMMANDS[command[0]].format(last),
                 on_click=lambda: self.act(lambda: self._run_advised(command, output)),
-            ).props(f"dense outline no-caps title={json.dumps(f'deepbots {shlex.join(command)}')}")
+            )
+            button.props("dense outline no-caps").props["title"] = f"deepbots {shlex.join(command)}"
 
     def _add_training(self, timesteps: str, shown: set[str]) -> None:
         """Add a button that trains the scenario from the start in a new run, which can be compared with the

@@ -34,6 +34,8 @@ pytest.importorskip("nicegui")
 import uvicorn
 from hypothesis import given
 from hypothesis import strategies as st
+from nicegui import Client, ui
+from nicegui.page import page
 
 from deepbots_cli import studio
 from deepbots_cli.cli import main
@@ -57,6 +59,7 @@ from deepbots_cli.studio.commands import (
     result_of,
 )
 from deepbots_cli.studio.files import OpenFile, TextEdit, difference, edited
+from deepbots_cli.studio.layout import Notices
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
@@ -741,6 +744,13 @@ def _notices() -> Iterator[tuple[str, str]]:
                 case [ast.JoinedStr(values=parts)]:
                     words = (part.value if isinstance(part, ast.Constant) else "X" for part in parts)
                     yield f"{path.name}:{call.lineno}", "".join(words)
+
+
+def test_a_notice_with_an_emoji_reaches_the_browser(monkeypatch):
+    monkeypatch.setattr(ui, "timer", lambda *_, **__: None)  # needs a running server
+    with Client(page("/notices")) as client:
+        Notices().show("saved 🤖.yaml", is_warning=False)
+    assert "saved 🤖.yaml" in [element.props.get("title") for element in client.elements.values()]
 
 
 def test_a_notice_has_at_most_twelve_words():
