@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import json
 import math
 import os
 import sys
@@ -564,12 +563,14 @@ def _drivers_of_others(agent: str | None, against: Sequence[str]) -> dict[str, s
     """Return the driver that `--against` names for each other agent."""
     drivers: dict[str, str] = {}
     for word in against:
-        name, equals, driver = word.partition("=")
-        if agent is None or not equals:
+        name, _, driver = map(str.strip, word.partition("="))
+        if not (agent and name and driver):
             raise typer.BadParameter(
                 f"--against {word}: write --agent NAME --against AGENT=DRIVER, such as --against prey=flee"
             )
-        drivers[name.strip()] = driver.strip()
+        if name in drivers:
+            raise typer.BadParameter(f"--against names the agent {name} twice")
+        drivers[name] = driver
     return drivers
 
 
@@ -584,10 +585,10 @@ def _policies_of_run(run: Path, agent: str) -> dict[str, str]:
     return {name: str(ref.path) for name in ref.run.program.members if name != agent}
 
 
-def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
-    """Return the entries of `role.others`, with absolute paths of runs and models, and the folders of
-    these."""
+def _role_setting(agent: str, drivers: Mapping[str, str]) -> tuple[str, list[Path]]:
+    """Return the setting of `role`, with absolute paths of runs and models, and the folders of these."""
     from deepbots_cli.compiler.agents import is_model
+    from deepbots_cli.document.layout import plain_or_quoted
 
     entries: list[str] = []
     folders: list[Path] = []
@@ -595,8 +596,8 @@ def _role_entries(drivers: Mapping[str, str]) -> tuple[list[str], list[Path]]:
         if is_model(driver):
             driver = os.path.abspath(driver)
             folders.append(Path(driver if os.path.isdir(driver) else os.path.dirname(driver)))
-        entries.append(f"{name}: {json.dumps(driver)}")
-    return entries, folders
+        entries.append(f"{plain_or_quoted(name)}: {plain_or_quoted(driver)}")
+    return f"role={{agent: {plain_or_quoted(agent)}, others: {{{', '.join(entries)}}}}}", folders
 
 
 def _with_role_options(command: Callable[..., None], group: str) -> Callable[..., None]:
@@ -612,13 +613,12 @@ def _with_role_options(command: Callable[..., None], group: str) -> Callable[...
         source = values.get("run") or values.get("shown")
         if agent is not None and source is not None:
             drivers = _policies_of_run(Path(source), agent) | drivers
-        entries, folders = _role_entries(drivers)
+        # in place of the role in the file
+        role, folders = _role_setting(agent, drivers) if agent is not None else ("", [])
         if folders and "permissions" in values:
             allowed = values["permissions"]
             values["permissions"] = replace(allowed, folders=(*allowed.folders, *folders))
-        role = f"role={{agent: {agent}, others: {{{', '.join(entries)}}}}}"  # in place of one in the file
-        settings = [role] if agent is not None else []
-        values |= {"overrides": [*(values["overrides"] or ()), *settings] or None}
+        values |= {"overrides": [*(values["overrides"] or ()), *([role] if role else [])] or None}
         command(**values, **({"agent": agent} if passed else {}))
 
     options = {name: (kind, None) for name, kind in _role_kinds(group).items()}

@@ -169,9 +169,25 @@ def test_the_options_of_a_command_replace_the_role_of_the_file(
     assert episode["ended_by"] in ("left_fell", "right_fell", "max_steps")
 
 
-@pytest.mark.parametrize("words", [["--against", "left=lean"], ["--agent", "right", "--against", "left"]])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--against", "left=lean"],
+        ["--agent", "right", "--against", "left"],
+        ["--agent", "right", "--against", "left="],
+        ["--agent", "right", "--against", "=lean"],
+        ["--agent", "right", "--against", "left=lean", "--against", "left=zero"],
+    ],
+)
 def test_a_rival_without_an_agent_or_a_driver_is_a_wrong_use(several: Path, words: list[str]) -> None:
     assert main(["try", str(several), *words]) == 2
+
+
+def test_a_rival_whose_name_is_an_emoji_is_named_in_the_finding(
+    several: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["try", str(several), "--agent", "right", "--against", "left=🤖"]) == 1
+    assert "there is no driver of `left` `🤖`" in capsys.readouterr().err
 
 
 def test_a_run_of_a_mirrored_agent_has_the_learner_that_was_chosen_for_it(several: Path) -> None:
