@@ -6,6 +6,7 @@ numbers.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from typing import Any, Generic, TypeVar
@@ -198,11 +199,22 @@ def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
 
 _ENTITIES = {ord(sign): f"&#{ord(sign)};" for sign in "\\`*{}[]<>#!|~&"}
 """The characters with a meaning in Markdown or HTML, as HTML writes them."""
+_ADDRESS = re.compile(r"://|www\.|@", re.IGNORECASE)
 
 
 def plain_markdown(text: str) -> str:
-    """Return a text from an untrusted file as one line of Markdown without markup, links and HTML."""
-    return " ".join(text.split()).translate(_ENTITIES)
+    """Return a text from an untrusted file as one line of Markdown without markup, links and HTML. Addresses,
+    which many renderers make links, are code."""
+    words = (
+        f"`{re.sub('[`|]', '', word)}`" if _ADDRESS.search(word) else _without_markup(word)
+        for word in text.split()
+    )
+    return re.sub(r"^(\d*)([-+=.)])", lambda match: f"{match[1]}&#{ord(match[2])};", " ".join(words))
+
+
+def _without_markup(word: str) -> str:
+    # An underscore between letters or digits, as in a name, has no meaning.
+    return re.sub(r"(?<![^\W_])_|_(?![^\W_])", "&#95;", word.translate(_ENTITIES))
 
 
 def render_template(template: str, *, html: bool = False, **values: Any) -> str:

@@ -130,3 +130,20 @@ def test_a_name_from_a_scenario_is_not_markup_in_the_readme() -> None:
     text = plain_markdown("a <script>x</script> [link](javascript:x) `code`\n# Limits: none")
     assert not set("<>[]`#\n") & set(text.replace("&#", "&"))
     assert text.startswith("a &#60;script&#62;x")
+
+
+@pytest.mark.parametrize(
+    ("text", "html"),
+    [
+        ("__Free__ _robots_ of my_lab", "<p>__Free__ _robots_ of my_lab</p>\n"),
+        ("- item", "<p>- item</p>\n"),
+        ("+ item", "<p>+ item</p>\n"),
+        ("1. item", "<p>1. item</p>\n"),
+        ("12) item", "<p>12) item</p>\n"),
+        ("see https://evil.example|`x`", "<p>see <code>https://evil.examplex</code></p>\n"),
+        ("me@evil.example", "<p><code>me@evil.example</code></p>\n"),
+    ],
+)
+def test_a_text_of_a_scenario_has_no_markup_in_the_page_of_a_bundle(text: str, html: str) -> None:
+    markdown_it = pytest.importorskip("markdown_it")
+    assert markdown_it.MarkdownIt("commonmark").render(plain_markdown(text)) == html
