@@ -115,8 +115,7 @@ class OpenFile:
             UsageError: The text is too large.
         """
         text = _clean(text)
-        if len(text.encode()) > MAX_BYTES:
-            raise UsageError(f"{self.path.name} would have more than {MAX_BYTES:,} bytes")
+        self._encoded(text)
         if revision == self.revision:
             self._set(text)
         return self.text == text
@@ -131,7 +130,7 @@ class OpenFile:
         """Write the text to the file.
 
         Raises:
-            UsageError: The file cannot be written, or another program has changed it.
+            UsageError: The file cannot be written or would be too large, or another program has changed it.
         """
         if self.read_only:
             raise UsageError(f"{self.path.name} belongs to deepbots or another project; save a copy of it")
@@ -144,8 +143,9 @@ class OpenFile:
             raise UsageError(f"another program has changed {self.path.name}; take its text or keep this one")
         if not self.is_modified:
             return
+        content = self._encoded(self.text)  # the form, or a fix, may have made it larger
         with atomic_write(self.path) as draft:
-            draft.write_bytes(self.form.encode(self.text))
+            draft.write_bytes(content)
         self.saved, self.is_gone = self.text, False
         self._stamp = _stamp(self.path)
 
@@ -190,6 +190,17 @@ class OpenFile:
         """Keep the text; the next save replaces the file on disk."""
         if self.outside is not None:
             self.saved, self.outside = self.outside, None
+
+    def _encoded(self, text: str) -> bytes:
+        """Return a text as the file has it.
+
+        Raises:
+            UsageError: It is too large.
+        """
+        content = self.form.encode(text)
+        if len(content) > MAX_BYTES:
+            raise UsageError(f"{self.path.name} would have more than {MAX_BYTES:,} bytes")
+        return content
 
     def _set(self, text: str) -> None:
         if text != self.text:

@@ -641,6 +641,10 @@ def test_a_text_that_grows_too_large_is_refused(tmp_path):
     with pytest.raises(UsageError, match="more than 1,048,576 bytes"):
         file.change(file.revision, "é" * (MAX_BYTES // 2 + 1))
     assert file.text == "a: 1\n"
+    (tmp_path / "lines.yaml").write_bytes(b"a: 1\r\n")  # each line end counts as the two bytes of the file
+    file = OpenFile.open(tmp_path / "lines.yaml")
+    with pytest.raises(UsageError, match="more than 1,048,576 bytes"):
+        file.change(file.revision, "#\n" * (MAX_BYTES // 3 + 1))
 
 
 def test_a_full_disk_is_one_sentence_and_leaves_the_file(file):
