@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from deepbots_cli.diagnostics.nearest import Replacement
 
@@ -92,7 +92,8 @@ class Dimension(NamedTuple):
     def unit_behind_number(self) -> str:
         """The SI unit as it is written behind a number; as a factor where its exponents are too large, or
         fractions."""
-        is_unit = all(int(power) == power and abs(power) <= MAX_UNIT_EXPONENT for power in self)
+        powers = cast("tuple[Exponent, ...]", self)
+        is_unit = all(int(power) == power and abs(power) <= MAX_UNIT_EXPONENT for power in powers)
         return str(self) if is_unit else f"* {self}"
 
 

@@ -252,7 +252,8 @@ def missing_unit(
     corrected = None
     constants = [end for end in ends if isinstance(end, Constant)]
     factor = dimension.unit_behind_number
-    if len(constants) == len(ends) and (factor == str(dimension) or value.type.components is None):
+    are_single = all(end.type.components is None for end in ends)
+    if len(constants) == len(ends) and (factor == str(dimension) or are_single):
         numbers_text = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
         units = _probable_units(dimension, largest)
