@@ -93,7 +93,9 @@ class Dimension(NamedTuple):
         """The SI unit as it is written behind a number; as a factor where its exponents are too large, or
         fractions."""
         powers = cast("tuple[Exponent, ...]", self)
-        is_unit = all(int(power) == power and abs(power) <= MAX_UNIT_EXPONENT for power in powers)
+        is_unit = all(
+            power.denominator == 1 and -MAX_UNIT_EXPONENT <= power <= MAX_UNIT_EXPONENT for power in powers
+        )
         return str(self) if is_unit else f"* {self}"
 
 
