@@ -137,6 +137,8 @@ class MujocoWorld:
         for dof, (_, joint) in self._joints.items():
             self.fastest[dof] = fastest(joint)
         self._least_fastest = self.fastest.min(initial=inf)
+        arrays = (self.data.qpos, self.data.qvel, self.data.mocap_pos.reshape(-1))
+        self._coordinates: tuple[Any, ...] = tuple(map(memoryview, arrays))
         self._inertia_factors = np.ones((model.nbody, 2))
         self.armature = model.dof_armature.copy()
         """The armature of the present episode, to which velocity motors add."""
@@ -441,13 +443,11 @@ class MujocoWorld:
     def require_finite(self) -> None:
         """See `Engine.require_finite`."""
         data = self.require_open().data
-        # A sum of squares is finite only if each number is; an overflow of finite values leads to the full check below.
-        total = data.qpos.dot(data.qpos)
-        if self.model.nmocap:
-            total += data.mocap_pos.sum()
-        if isfinite(total) and data.qvel.dot(data.qvel) <= self._least_fastest**2:
-            return  # without a closer look at each speed, which takes 4 us
-        if isfinite(total + data.qvel.sum()):
+        # A sum is finite only if each number is; an overflow of finite values leads to the full check below.
+        # Sums in Python take 0.3 us for 8 numbers, those of numpy 0.7 us and a warning for numbers beyond 1e154.
+        if isfinite(sum(map(sum, self._coordinates))):
+            if max(map(abs, self._coordinates[1]), default=0.0) <= self._least_fastest:
+                return  # without a closer look at each speed, which takes 4 us
             impossible = np.abs(data.qvel) > self.fastest
             if impossible.any():
                 fast = np.flatnonzero(impossible).tolist()
