@@ -118,8 +118,8 @@ def is_typo(word: str, other: str) -> bool:
     )
 
 
-MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "std", "Math"})
-"""Modules through which other languages call functions that have no prefix here."""
+# Modules through which other languages call functions that have no prefix here.
+MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "random", "std", "Math"})
 
 _GROUP = r"[^()]*(?:\([^()]*\)[^()]*)*"
 _IF = (
@@ -154,6 +154,21 @@ def without_bars(text: str) -> str | None:
     if len(text) > _MAX_FOREIGN or not re.search(_BARS, text):
         return None
     return re.sub(_BARS, lambda match: f"abs({match[1].strip()})", text)
+
+
+# The help for functions of other languages.
+FOREIGN_FUNCTION_HELP = {
+    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
+    "rand": "a draw is `uniform(low .. high)`",
+    "randn": "a draw is `normal(mean +- std)`",
+    "gauss": "a draw is `normal(mean +- std)`",
+    "randint": "a draw of whole numbers is `integer(low .. high)`",
+    "clip": "write `clamp(x, low .. high)`",
+    "pow": "a power is `a ^ b`",
+    "square": "a power is `a ^ b`: `x ^ 2`",
+    "radians": "write the unit: `30 deg`",
+    "degrees": "divide by the unit: `angle / deg`",
+}
 
 
 def foreign_call(names: tuple[str, ...]) -> str:

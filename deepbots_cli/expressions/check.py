@@ -15,6 +15,7 @@ from itertools import chain
 from typing import NamedTuple, TypeVar
 
 from deepbots_cli.diagnostics.nearest import (
+    FOREIGN_FUNCTION_HELP,
     MAX_BESIDE,
     Replacement,
     is_typo,
@@ -63,7 +64,6 @@ from deepbots_cli.expressions.unification import (
     CONTEXT_HELP,
     CONTEXT_NAME_HELP,
     FAMILY_HELP,
-    FOREIGN_FUNCTION_HELP,
     FUNCTION_OF_KIND,
     NAME_HELP,
     WHOLE_TEXT,

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 from deepbots_cli.diagnostics.nearest import Replacement
 
 Exponent = int | Fraction
-MAX_UNIT_EXPONENT = 8
-"""The largest power of a unit behind a number, which is a whole number."""
+MAX_FACTORS = 8  # of a unit behind a number; a factor has a whole power up to this, too
 
 _WRITTEN_OUT = {
     word: unit
@@ -92,11 +91,7 @@ class Dimension(NamedTuple):
     def unit_behind_number(self) -> str:
         """The SI unit as it is written behind a number; as a factor where its exponents are too large, or
         fractions."""
-        powers = cast("tuple[Exponent, ...]", self)
-        is_unit = all(
-            power.denominator == 1 and -MAX_UNIT_EXPONENT <= power <= MAX_UNIT_EXPONENT for power in powers
-        )
-        return str(self) if is_unit else f"* {self}"
+        return str(self) if {*self} <= {*range(-MAX_FACTORS, MAX_FACTORS + 1)} else f"* {self}"
 
 
 def _without_angle(m: Exponent, kg: Exponent, s: Exponent, rad: Exponent) -> Dimension:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from deepbots_cli.diagnostics import nearest
 from deepbots_cli.diagnostics.nearest import Replacement
-from deepbots_cli.expressions.dimensions import MAX_UNIT_EXPONENT, ONE, UNITS, Unit
+from deepbots_cli.expressions.dimensions import MAX_FACTORS, ONE, UNITS, Unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.syntax import (
     KEYWORDS,
@@ -52,7 +52,6 @@ MAX_NESTING = 64
 MAX_DEPTH = 128
 _MAX_DOTS = 8
 _MAX_SHOWN_CHARACTERS = 80
-_MAX_FACTORS = 8
 
 _PRECEDENCE = {
     "or": 1,
@@ -216,9 +215,9 @@ class _Parser:
         factors = 1
         while self._peek.text in ("*", "/") and self._unit_at(self._at + 1):
             factors += 1
-            if factors > _MAX_FACTORS:
+            if factors > MAX_FACTORS:
                 raise _SyntaxError(
-                    self._peek.start, self._peek.end, f"a unit of more than {_MAX_FACTORS} factors"
+                    self._peek.start, self._peek.end, f"a unit of more than {MAX_FACTORS} factors"
                 )
             join = unit.times if self._next().text == "*" else unit.per
             unit = join(self._unit_power())
@@ -231,7 +230,7 @@ class _Parser:
             return unit
         is_negative = self._take("-")
         digits = self._next()
-        if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > MAX_UNIT_EXPONENT:
+        if not digits.text.isdecimal() or len(digits.text) > 1 or int(digits.text) > MAX_FACTORS:
             headline = "the exponent of a unit must be a small whole number"
             raise _SyntaxError(
                 power.start, digits.end, headline, "put the number and its unit in parentheses"
@@ -524,7 +523,9 @@ class _Parser:
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(replacement.split())}`")
         if token.text == "(" and (names := self._names_before()):
             first = self._tokens[self._at - 2 * len(names) + 1]
-            help = f"call the function without a prefix: `{nearest.foreign_call(names)}`"
+            help = nearest.FOREIGN_FUNCTION_HELP.get(
+                names[-1], f"call the function without a prefix: `{nearest.foreign_call(names)}`"
+            )
             return _SyntaxError(
                 first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
             )

@@ -249,11 +249,11 @@ def missing_unit(
         sign = ".." if value.function == "uniform" else "+-"
     help = f"write its unit, as in `{dimension.example}`"
     replacement = None
-    corrected = None
+    corrected = divided_text(other, f" / {_divisor(dimension)}") if other is not None else None
     constants = [end for end in ends if isinstance(end, Constant)]
-    factor = dimension.unit_behind_number
-    are_single = all(end.type.components is None for end in ends)
-    if len(constants) == len(ends) and (factor == str(dimension) or are_single):
+    if len(constants) == len(ends) and (
+        dimension.unit_behind_number == str(dimension) or [len(end.values) for end in constants] == [1]
+    ):
         numbers_text = f" {sign} ".join(" ".join(map(_number_text, end.values)) for end in constants)
         largest = max(abs(number) for end in constants for number in end.values)
         units = _probable_units(dimension, largest)
@@ -264,8 +264,7 @@ def missing_unit(
             replacement = Replacement(
                 f"{numbers_text} {units[0]}", safe=units[0] == str(dimension) and other is None
             )
-    if other is not None:
-        corrected = divided_text(other, f" / {_divisor(dimension)}")
+    if corrected is not None:
         help += f"; or divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
     node = value._replace(start=ends[0].start, end=ends[-1].end)
     headline = f"expected {_expected(dimension, noun)}, found a number without a unit"
@@ -653,14 +652,12 @@ def negated_text(value: TypedNode) -> Callable[[str], str]:
 
     def turned(text: str) -> str:
         amount, remainder = text[:length], text[length:]
-        if _is_conditional(part):
-            return f"-({amount}){remainder}"
-        if not (isinstance(part, Operation) and _is_sum(part)):
+        if not (isinstance(part, Operation) and _is_open(part)):
             return amount[1:].lstrip() + remainder if amount.startswith("-") else f"-{amount}{remainder}"
-        if part.operator == "add":
+        if part.operator != "sub":
             return f"-({amount}){remainder}"
         left, right = (amount[arg.start - part.start : arg.end - part.start] for arg in part.args)
-        return f"{right} - ({left}){remainder}" if _is_sum(part.args[0]) else f"{right} - {left}{remainder}"
+        return f"{right} - ({left}){remainder}" if _is_open(part.args[0]) else f"{right} - {left}{remainder}"
 
     return turned
 
@@ -669,7 +666,7 @@ def divided_text(value: TypedNode, divisor: str) -> Callable[[str], str]:
     """Return a function that puts `divisor` behind the text of a value, of `a when c` behind `a`; a sum or a
     conditional is put in parentheses."""
     part = _amount(value)
-    before, behind = ("(", ")") if _is_sum(part) or _is_conditional(part) else ("", "")
+    before, behind = ("(", ")") if _is_open(part) else ("", "")
     return lambda text: (
         f"{text[: part.start]}{before}{text[part.start : part.end]}{behind}{divisor}{text[part.end :]}"
     )
@@ -681,18 +678,13 @@ def _amount(value: TypedNode) -> TypedNode:
     return value.args[1] if is_when and isinstance(value, Operation) else value
 
 
-def _is_conditional(value: TypedNode) -> bool:
-    """Return whether it is `a if c else b` without parentheses around it."""
-    return isinstance(value, Operation) and value.operator == "where" and value.args[1].start == value.start
-
-
-def _is_sum(value: TypedNode) -> bool:
-    """Return whether it is a sum or a difference without parentheses around it, which a node counts as its
-    own."""
+def _is_open(value: TypedNode) -> bool:
+    """Return whether it is a sum, a difference or `a if c else b` without parentheses around it, which a node
+    counts as its own."""
     return (
         isinstance(value, Operation)
-        and value.operator in ("add", "sub")
-        and value.args[0].start == value.start
+        and value.operator in ("add", "sub", "where")
+        and any(part.start == value.start for part in value.args)
     )
 
 
@@ -749,19 +741,6 @@ _MAX_LISTED = 20
 # Names that are written often, and not near to the right word.
 NAME_HELP = {"pi": "half a turn is `180 deg`"}
 CONTEXT_NAME_HELP = {Context.APPLY: "the choices of the agent are defined under `action`"}
-FOREIGN_FUNCTION_HELP = {
-    "random": "a draw is `uniform(low .. high)`, or `normal(mean +- std)`",
-    "rand": "a draw is `uniform(low .. high)`",
-    "randn": "a draw is `normal(mean +- std)`",
-    "gauss": "a draw is `normal(mean +- std)`",
-    "randint": "a draw of whole numbers is `integer(low .. high)`",
-    "clip": "write `clamp(x, low .. high)`",
-    "pow": "a power is `a ^ b`",
-    "square": "a power is `a ^ b`: `x ^ 2`",
-    "radians": "write the unit: `30 deg`",
-    "degrees": "divide by the unit: `angle / deg`",
-}
-"""The help for functions of other languages."""
 
 
 def usage(function: Function) -> str:

@@ -144,10 +144,9 @@ class EvaluationRate(SuccessRate):
         self["evaluations"] = len(evaluations)
 
     def __str__(self) -> str:
-        count = self["evaluations"]
-        if count < 2:
+        if self["evaluations"] < 2:
             return super().__str__()
-        return f"{rate_text(self.rate)} of the episodes in {count} evaluations"
+        return f"{rate_text(self.rate)} of the episodes in {self['evaluations']} evaluations"
 
 
 def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Statement]:
@@ -158,11 +157,19 @@ def statements_about(rules: Sequence[StatementRule[T]], subject: T) -> list[Stat
         if evidence is not None:
             texts = {key: _shown(value) for key, value in evidence.items()}
             further = {"settings": evidence.get("settings", {}), "command": evidence.get("command", "")}
-            numbers = {key: value for key, value in evidence.items() if key not in further}
             sentence, remedy, title = (
                 form.format(**texts).strip() for form in (rule.text, rule.advice, rule.title)
             )
-            statements.append(Statement(rule.name, sentence, remedy, numbers, **further, title=title))
+            statements.append(
+                Statement(
+                    rule.name,
+                    sentence,
+                    remedy,
+                    {key: value for key, value in evidence.items() if key not in further},
+                    **further,
+                    title=title,
+                )
+            )
     return statements
 
 
@@ -199,22 +206,19 @@ def list_text(parts: Sequence[str], limit: int = MAX_LISTED) -> str:
 
 _ENTITIES = {ord(sign): f"&#{ord(sign)};" for sign in "\\`*{}[]<>#!|~&"}
 """The characters with a meaning in Markdown or HTML, as HTML writes them."""
-_ADDRESS = re.compile(r"://|www\.|@", re.IGNORECASE)
 
 
 def plain_markdown(text: str) -> str:
     """Return a text from an untrusted file as one line of Markdown without markup, links and HTML. Addresses,
     which many renderers make links, are code."""
-    words = (
-        f"`{re.sub('[`|]', '', word)}`" if _ADDRESS.search(word) else _without_markup(word)
-        for word in text.split()
-    )
-    return re.sub(r"^(\d*)([-+=.)])", lambda match: f"{match[1]}&#{ord(match[2])};", " ".join(words))
-
-
-def _without_markup(word: str) -> str:
     # An underscore between letters or digits, as in a name, has no meaning.
-    return re.sub(r"(?<![^\W_])_|_(?![^\W_])", "&#95;", word.translate(_ENTITIES))
+    words = [
+        f"`{re.sub('[`|]', '', word)}`"
+        if re.search(r"://|www\.|@", word, re.IGNORECASE)
+        else re.sub(r"(?<![^\W_])_|_(?![^\W_])", "&#95;", word.translate(_ENTITIES))
+        for word in text.split()
+    ]
+    return re.sub(r"^(\d*)([-+=.)])", lambda match: f"{match[1]}&#{ord(match[2])};", " ".join(words))
 
 
 def render_template(template: str, *, html: bool = False, **values: Any) -> str:

@@ -535,7 +535,7 @@ def test_the_ranges_of_commands_are_those_of_the_training() -> None:
         (
             WALK,
             ["robots.dog.actuators.legs.max_velocity=0.1 rad/s"],
-            "'legs' has a `max_velocity`, which the runners of Isaac Lab cannot limit",
+            "without `max_velocity`, and 'legs' is none",
         ),
     ],
 )

@@ -64,16 +64,11 @@ def deploy_settings(program: Program) -> dict[str, Any]:
         or motor.kind != "position_motor"
         or motor.stiffness is None
         or motor.damping is None
+        or any(rate is not None for rate in motor.max_velocity)
     ):
         raise UsageError(
-            "the runners of Isaac Lab drive position motors with stiffness and damping, and"
-            f" '{command.name}' is none"
-        )
-    device = output(program, robot, command)
-    if any(rate is not None for rate in device.max_rate):
-        raise UsageError(
-            f"'{command.name}' has a `max_velocity`, which the runners of Isaac Lab cannot limit; export a bundle"
-            " instead"
+            "the runners of Isaac Lab drive position motors with stiffness and damping and without"
+            f" `max_velocity`, and '{command.name}' is none; export a bundle instead"
         )
     coefficients = linear(program, command.scalars)
     if coefficients is None or not np.array_equal(coefficients[0], np.diag(np.diag(coefficients[0]))):
@@ -84,7 +79,7 @@ def deploy_settings(program: Program) -> dict[str, Any]:
     scale, offset = np.diag(coefficients[0]).tolist(), coefficients[1].tolist()
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     in_file = [joint.name for joint in model.joints if joint.name in motor.joints]
-    ends = device.range
+    ends = output(program, robot, command).range
     commands: dict[str, Any] = {}
     observations: dict[str, Any] = {}
     parameters = {value.name: value for value in program.parameters}
@@ -162,13 +157,16 @@ def _only_command(program: Program) -> tuple[Robot, Command]:
 
 def _command_ranges(entry: Observation, analysis: Analysis) -> dict[str, list[float]]:
     """Return the range of the values that the policy has seen, for each component of a parameter."""
-    ranges = {}
-    for number in entry.numbers:
-        seen = analysis.ranges.of(number.scalar)
-        if entry.clip:
-            seen = iv.clamp(seen, iv.single(number.low), iv.single(number.high))
-        ranges[f"{entry.name}_{number.component}" if number.component else entry.name] = [*seen]
-    return ranges
+    return {
+        f"{entry.name}_{number.component}" if number.component else entry.name: [
+            *(
+                iv.clamp(analysis.ranges.of(number.scalar), iv.single(number.low), iv.single(number.high))
+                if entry.clip
+                else analysis.ranges.of(number.scalar)
+            )
+        ]
+        for number in entry.numbers
+    }
 
 
 def _term(entry: Observation) -> dict[str, Any]:
