@@ -19,15 +19,15 @@ from deepbots_cli.compiler.values import ValueReader
 from deepbots_cli.diagnostics import Findings, Fix, Label, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.document import Document, Entry, MappingNode
-from deepbots_cli.document.load import apply_setting
+from deepbots_cli.document.load import apply_setting, setting_path
 from deepbots_cli.document.nodes import (
     NodePath,
     ScalarNode,
     count_and_depth,
     entries_at,
-    follow_dotted,
     without_paths,
 )
+from deepbots_cli.document.nodes import walk as walk_nodes
 from deepbots_cli.expressions.check import COMPARISONS
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.lower import constant_values
@@ -510,14 +510,13 @@ class _VariantCompiler:
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Return whether a setting changes a property that a policy is made for, after a finding about it."""
-        steps, _, unresolved = follow_dotted(self._values.root, entry.key.text.strip())
-        head = str(steps[0]) if steps else unresolved.split(".")[0]
-        parameters = self._values.root.get("parameters")
-        if tuple(steps[:1] + steps[2:3]) == ("robots", "xacro"):  # the run has one copy of the robot
+        path = setting_path(self._values.root, entry.key.text.strip())
+        head = str(path[0]) if path else ""
+        # The run has one copy of the robot, with the arguments of the scenario.
+        places = (place for place, _ in walk_nodes(entry.value, path))
+        if any(place[:1] + place[2:3] == ("robots", "xacro") for place in places):
             head = "xacro"
-        elif head not in _FIXED_SECTIONS or (
-            isinstance(parameters, MappingNode) and entry.key.text in parameters.entries
-        ):
+        elif head not in _FIXED_SECTIONS:
             return False
         self._values.add(
             "DB407",

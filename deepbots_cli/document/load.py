@@ -240,8 +240,7 @@ class _Reader:
         if base is None:
             return None
         # A test is about the scenario of its own file: another one moves, scores and ends differently.
-        base_entries = {key: entry for key, entry in base.entries.items() if key != TESTS}
-        base = replace(base, entries=base_entries)
+        base = replace(base, entries={key: entry for key, entry in base.entries.items() if key != TESTS})
         return self.without_removed(base, tree, remove.value) if remove else merge(base, tree)
 
     def expanded(self, node: Node, folder: Path, chain: tuple[Path, ...], depth: int, names: int = 0) -> Node:
@@ -330,8 +329,12 @@ class _Reader:
         try:
             data = self.drafts[path] if path in self.drafts else files.read(path)
         except OSError as error:
-            help = f"the operating system reports: {(error.strerror or 'no reason').lower()}"
-            self.findings.add("DB204", by, f"`{path.name}` cannot be read", help)
+            self.findings.add(
+                "DB204",
+                by,
+                f"`{path.name}` cannot be read",
+                f"the operating system reports: {(error.strerror or 'no reason').lower()}",
+            )
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
@@ -417,8 +420,9 @@ def merge(base: MappingNode, over: MappingNode, names: int = 0) -> MappingNode:
     """
     if not names and any(_differ(base.get(key), over.get(key)) for key in _KIND_KEYS):
         return over
-    wholes = () if names else _WHOLES.keys() & over.entries.keys()
-    replaced = {part for whole in wholes for part in _WHOLES[whole]}
+    replaced = {
+        part for whole, parts in _WHOLES.items() if not names and whole in over.entries for part in parts
+    }
     entries = {key: entry for key, entry in base.entries.items() if key not in replaced}
     for key, entry in over.entries.items():
         below = base.get(key)

@@ -129,8 +129,12 @@ def _measured(episodes: Any, until: Criterion) -> Any:
 
 def _until(until: Criterion, value: float, *, in_evaluation: bool = False) -> str:
     """Return the key with another threshold, in the syntax of the scenario."""
-    below = Context(prec=4, rounding=ROUND_FLOOR).create_decimal(str(value))  # a higher one was not reached
-    threshold = f"{math.floor(100 * value + 1e-9)} %" if until.metric == "success_rate" else f"{below:f}"
+    # A higher threshold than the value was not reached.
+    threshold = (
+        f"{math.floor(100 * value + 1e-9)} %"
+        if until.metric == "success_rate"
+        else f"{Context(prec=4, rounding=ROUND_FLOOR).create_decimal(str(value)):f}"
+    )
     counted = (
         "in evaluation" if in_evaluation or until.episodes is None else f"over {until.episodes} episodes"
     )
@@ -152,8 +156,13 @@ def stage_changes(evidence: TrainingEvidence) -> str:
         for index in (evidence.stage_index - 1, evidence.stage_index)
     )
     usual = "the value of the scenario"
-    changed = {name: (before.get(name, usual), now.get(name, usual)) for name in {**before, **now}}
-    return list_text([f"{name}: {was} -> {new}" for name, (was, new) in changed.items() if was != new])
+    return list_text(
+        [
+            f"{name}: {before.get(name, usual)} -> {now.get(name, usual)}"
+            for name in before | now
+            if before.get(name) != now.get(name)
+        ]
+    )
 
 
 def stage_too_hard(evidence: TrainingEvidence) -> Numbers | None:

@@ -57,8 +57,6 @@ from deepbots_cli.view.frames import (
 )
 
 SHOWN_KINDS = (SourceKind.SCENARIO, SourceKind.RUN, SourceKind.CHECKPOINT, SourceKind.RECORDING)
-_MODELS: Mapping[ModelName, Sequence[ModelName]] = {"best": ("best", "last"), "last": ("last", "best")}
-"""The models that act for a run, the first that exists, or the newest one of a training."""
 _TAIL_BYTES = 20_000  # bytes at the end of a log that contain its last episode
 
 
@@ -205,8 +203,8 @@ class RunDriver(Driver):
         is_model_named: bool = False,
         deterministic: bool = True,
     ) -> None:
-        """Load the policy; if `is_model_named`, no other model of the run acts. In a `batch`, one forward pass
-        acts in all worlds."""
+        """Load the policy; if `is_model_named`, no other model of the run acts. In a `batch`, one forward
+        pass acts in all worlds."""
         try:
             from deepbots_cli.learning.policy import load_model
             from deepbots_cli.learning.runs.run import steps_of
@@ -223,7 +221,9 @@ class RunDriver(Driver):
         self._run = run
         self._env = env
         self._batch = batch
-        self._models: Sequence[ModelName] = (model,) if is_model_named else _MODELS.get(model, (model,))
+        self._models = (
+            (model,) if is_model_named else (model, *{"best": ("last",), "last": ("best",)}.get(model, ()))
+        )
         self._deterministic = deterministic
         self._policy: Driver | None = None
         self._stamp: tuple[int, int] | None = None
@@ -393,9 +393,8 @@ class Player:
     @property
     def note(self) -> str:
         """A note for the user: on the driver, and on a run that was trained with other physics."""
-        run = self.opened.run
-        notes = [] if run is None else run.notes_on_physics()
-        return "; ".join([self.driver.note, *notes] if self.driver.note else notes)
+        notes = self.opened.run.notes_on_physics() if self.opened.run else []
+        return "; ".join(filter(None, (self.driver.note, *notes)))
 
     def view(self, width: int, height: int) -> View:
         """Return the view of the whole scene, or the one that follows the robot."""
@@ -444,9 +443,10 @@ class BatchPlayer(Player):
         )
         self.worlds = len(self.batch.singles)
         self._readers: dict[int, FrameReader] = {}
-        units = self.opened.checked().units
         self._recorders = [
-            recorder for world in self.batch.singles for _, (_, recorder) in recorded_channels(world, units)
+            recorder
+            for world in self.batch.singles
+            for _, (_, recorder) in recorded_channels(world, self.opened.checked().units)
         ]
         """All worlds keep their messages, because each may be shown later."""
         return self.batch.singles[0]
@@ -527,9 +527,9 @@ class BatchPlayer(Player):
         outcome = self.batch.rows.step_by_world(outcome)
         self._running.resting[outcome.done] = True
         for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
-            ended = {name: info[name] for name in ("ended_by", "is_success")}
             self._endings[world] = {
-                **ended,
+                "ended_by": info["ended_by"],
+                "is_success": info["is_success"],
                 "truncated": bool(outcome.truncated[world]),
                 "succeeded": successful_agents(self.program, info["endings"], info.get("agent_endings", {})),
             }
@@ -543,8 +543,8 @@ class BatchPlayer(Player):
         counts = [f"running {running}"] * (running > 0) + [
             f"{name} {count}" for name, count in ended.most_common()
         ]
-        state = f"world {self.world} of {self.worlds} ({', '.join(counts)})"
-        return f"{state}; {note}" if (note := super().note) else state
+        notes = (f"world {self.world} of {self.worlds} ({', '.join(counts)})", super().note)
+        return "; ".join(filter(None, notes))
 
     def close(self) -> None:
         self.batch.close()

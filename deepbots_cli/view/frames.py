@@ -318,10 +318,9 @@ def recorded_channels(
     for copy, agent in env.agents.items():
         for (name, direction), channel in agent.channels.items():
             assert channel.wire is not None  # only channels of tests have none
-            wire: object = channel.wire
-            recorder = wire if isinstance(wire, MessageRecorder) else MessageRecorder(channel.wire, units)
-            channel.wire = cast("FieldCodec", recorder)
-            yield f"{_called(env, name, copy)}/{direction}", (channel, recorder)
+            if not isinstance(channel.wire, MessageRecorder):
+                channel.wire = cast("FieldCodec", MessageRecorder(channel.wire, units))
+            yield f"{_called(env, name, copy)}/{direction}", (channel, cast("MessageRecorder", channel.wire))
 
 
 class FrameReader:

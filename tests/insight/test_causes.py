@@ -301,10 +301,10 @@ CASES: dict[str, Case] = {
         says={"stuck_in_stage": ["the stage ends at 80%", "`until: success_rate >= 4"]},
     ),
     "a stage that never ends, with a return that it reaches": Case(
-        (f"curriculum={STAGES.replace('success_rate >= 80 %', 'mean_return >= 1000')}",),
-        lasting(outcomes(400, 0.2, 0.5, 0.5, 0.5), **WIDE, returns=np.full(400, 195.678)),
+        (f"curriculum={STAGES.replace('success_rate >= 80 %', 'mean_return >= 4')}",),
+        lasting(outcomes(400, 0.2, 0.5, 0.5, 0.5), **WIDE, returns=np.full(400, 3.4574)),
         first=["stuck_in_stage"],
-        says={"stuck_in_stage": ["`until: mean_return >= 195.6 over"]},
+        says={"stuck_in_stage": ["`until: mean_return >= 3.111 over"]},
     ),
     "a stage in which the success rises": Case(
         STAGED, lasting(outcomes(400, 0, 0.1, 0.2, 0.75), **WIDE), lacks=["stuck_in_stage"]

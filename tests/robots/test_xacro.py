@@ -534,9 +534,18 @@ def test_a_wrong_argument_in_a_scenario_is_one_finding(scenario, old, new, headl
     assert finding.span.text == place
 
 
-def test_a_case_cannot_change_the_arguments_of_a_robot(scenario):
-    scenario.write_text(SCENARIO + "evaluation: {cases: {wide: {set: {robots.two.xacro.size: 0.3}}}}\n")
-    (finding,) = api.load(scenario).findings
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "robots.two.xacro.size: 0.3",
+        "robots.bare.xacro: {size: 0.3}",
+        "robots.bare: {urdf: a, xacro: {size: 0.3}}",
+    ],
+)
+def test_a_case_cannot_change_the_arguments_of_a_robot_which_may_have_none_before(scenario, setting):
+    robots = SCENARIO.replace("action:", "  bare: {urdf: cartpole}\naction:")
+    scenario.write_text(f"{robots}evaluation: {{cases: {{wide: {{set: {{{setting}}}}}}}}}\n")
+    (finding,) = (finding for finding in api.load(scenario).findings if finding.severity == "error")
     assert finding.headline == "a case cannot change `xacro`"
 
 
