@@ -464,8 +464,7 @@ def _noise_model(
         model = NoiseModel(
             1, latency, noise, relative_noise, bias, relative_bias, drift, low, high, resolution
         )
-        of_table = spec.lookup.noise if isinstance(spec, RaySensor) and spec.lookup else None
-        wanders = any((noise, relative_noise, bias, relative_bias, drift, of_table))
+        wanders = noise or relative_noise or bias or relative_bias or drift
         reach = list(map(Interval, low, high)) or (
             [EVERYTHING] if wanders else list(typed.intervals) or [typed.interval]
         )
