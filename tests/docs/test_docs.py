@@ -42,7 +42,7 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import Document, load, loads
-from deepbots_cli.document.load import merge
+from deepbots_cli.document.load import LEVELS_OF_NAMES, merge
 from deepbots_cli.document.nodes import (
     Entry,
     MappingNode,
@@ -513,7 +513,7 @@ def with_example(place: Place, key: Key) -> CheckedScenario:
     entry = example.entry
     old = here.get(key.name)
     value = (
-        merge(old, entry.value, key.name)
+        merge(old, entry.value, LEVELS_OF_NAMES.get(key.name, 0))
         if isinstance(old, MappingNode) and isinstance(entry.value, MappingNode)
         else entry.value
     )
