@@ -36,7 +36,8 @@ _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 def available_cores() -> int:
-    """Return the number of cores that this process may use; a container and `taskset` allow fewer than all."""
+    """Return the number of cores that this process may use; a container and `taskset` may allow fewer than
+    all."""
     # `cpu_count` has all cores; macOS and Windows have nothing better.
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     with suppress(OSError, ValueError):  # there is no such file, or it says `max`

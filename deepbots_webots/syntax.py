@@ -124,8 +124,8 @@ OLDEST_RELEASE = (8, "6")  # V8.6, which R2018a follows
 ENU_RELEASE = (2020, "b")  # the first one with a coordinate system, which is ENU by default
 AXES_RELEASE = (2022, "a")  # the first one whose PROTOs look along x, and whose cylinders stand along z
 
-# Possessive, so that a string without an end costs linear time; groups are not, since Python before 3.11.5 does not
-# go back where a possessive group fails. A million numbers take 0.14 s and 63 MB.
+# Possessive, so that a string without an end costs linear time; groups are not, since Python before 3.11.5
+# does not go back where a possessive group fails. A million numbers take 0.14 s and 63 MB.
 _NUMBER = r"""[-+]?+(?=\.?+\d)\d*+\.?+\d*+(?:[eE][-+]?+\d++)?(?![^\s,\[\]{}"\#])"""
 _NUMBERS = re.compile(rf"(?:[\s,]*+{_NUMBER})+")
 _TOKEN = re.compile(

@@ -27,8 +27,8 @@ from collections.abc import Sequence
 __all__ = ["main"]
 
 _COLLECT_EVERY = (400_000, 3, 4)
-"""The thresholds of the garbage collection: all objects are searched after 5 million new ones, and no new ones
-while a scenario is linted, which would take 7 % of its time."""
+"""The thresholds of the garbage collection: all objects are searched after 5 million new ones, and none while
+a scenario is linted, which would take 7 % of its time."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

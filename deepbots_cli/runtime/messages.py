@@ -264,7 +264,8 @@ def _msgspec_codec(library: Any, layout_hash: int, codes: list[str], number: Any
 
 
 def json_codec(layout_hash: int, codes: list[str]) -> Codec:
-    """Return the codec of JSON, which has finite numbers only: others are the texts `inf`, `-inf` and `nan`."""
+    """Return the codec of JSON, which has finite numbers only: others are the texts `inf`, `-inf` and
+    `nan`."""
     finite = _msgspec_codec(msgspec.json, layout_hash, codes)
     any_number = _msgspec_codec(msgspec.json, layout_hash, codes, float | Literal["inf", "-inf", "nan"])
 

@@ -2,7 +2,8 @@
 
     python -m tools.benchmarks.peers [PART ...] [--json] [--pairs 15] [--steps 1000]
 
-Install the peers beside deepbots: `pip install panda-gym PyFlyt`. A part whose peer is not installed is left out.
+Install the peers beside deepbots: `pip install panda-gym PyFlyt`. A part whose peer is not installed is left
+out.
 Both sides are made as their users make them, by `make()`, and take random actions. Times are CPU times of all
 threads, resets apart from steps; the two sides take turns, and the median of the ratios of the pairs counts.
 """
@@ -53,7 +54,8 @@ UPRIGHT = 6
 
 
 def euler_pendulum() -> gym.Env[Any, Any]:
-    """Gymnasium's inverted pendulum, with the integrator that deepbots uses: Runge-Kutta evaluates it four times."""
+    """Gymnasium's inverted pendulum, with the integrator that deepbots uses: Runge-Kutta evaluates it four
+    times."""
     text = (Path(gym.__file__).parent / "envs" / "mujoco" / "assets" / "inverted_pendulum.xml").read_text()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "pendulum.xml"

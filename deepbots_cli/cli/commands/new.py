@@ -369,7 +369,8 @@ def _copies(file: RobotFile, path: Path) -> Files:
 
 
 def _reference(robot: str, folder: Path, permissions: Permissions, base: str) -> str:
-    """Return the reference to a robot file in a scenario in `folder`; commands in an error begin with `base`."""
+    """Return the reference to a robot file in a scenario in `folder`; commands in an error begin with
+    `base`."""
     if robot.startswith("package://") or shipped.robot_path(robot) is not None:
         return robot
     path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")

@@ -218,15 +218,15 @@ class BatchReaders(BatchState):
     _built: int
 
     def __init__(self, world: WorldModel, count: int) -> None:
-        """Create a batch, whose worlds are stepped by as many threads as there are cores for this process, or by
-        fewer that have enough to do."""
+        """Create a batch, whose worlds are stepped by as many threads as there are cores for this process, or
+        by fewer that have enough to do."""
         self.builder = ModelBuilder(world)
         self.single = MuJoCoEngine(world, self.builder)
         self.actuators = self.single.motors.actuators
         self._world = self.single._world
         self.nominal = copy(self._world.model)  # a deep copy: MuJoCo's models copy their arrays
         self.count = count
-        # A thread that has less to do takes more time to start: 16 carts on rails need 45 us, or 100 us with two.
+        # A thread that has less to do takes more time to start: 16 carts on rails need 45 us, 100 us with two.
         work = count * (self.nominal.nv + self.nominal.npair // 2)
         self._threads = min(available_cores(), count, max(1, work // WORK_OF_A_THREAD))
         self._remembered = self._world.memory()
