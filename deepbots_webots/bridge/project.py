@@ -281,8 +281,8 @@ class Project:
     def training(self) -> Training:
         """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3.
 
-        An update has as many steps in the one world of Webots as in all worlds of the scenario: with 64 steps, the
-        return of CartPole is 124 of 200 after 28,700 steps, and with its 512 it is 185.
+        An update has as many steps in the one world of Webots as in all worlds of the scenario: with 64 steps,
+        the return of CartPole is 124 of 200 after 28,700 steps, and with its 512 it is 185.
         """
         agent, training = self.program.agent, self.program.agent.training
         if training is not None and training.algorithm in LEARNERS:
