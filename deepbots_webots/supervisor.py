@@ -158,10 +158,10 @@ class Supervisor(Robot):
         for def_name in name.split("."):
             # `walk` yields the node itself first, which is not a part of itself.
             inner = (node for node in walk([match]) if node is not match and not node.is_internal)
-            found = next((node for node in inner if node.name == def_name), None)
-            if found is None:
+            named = next((node for node in inner if node.name == def_name), None)
+            if named is None:
                 return None
-            match = found
+            match = named
         return Node(self._webots_simulation, match)
 
     def getFromId(self, id: int) -> Node | None:
