@@ -251,7 +251,8 @@ class Viewer:
         if seconds >= _SPEED_INTERVAL_S:
             self._speed = (simulation.ticks - self._since[1]) / 1000 / seconds
             self._since = now, simulation.ticks
-        speed = f"{self._speed:.2g} times real time" if state == "running" else ""
+        # An empty line would move the buttons below it while a person presses one.
+        speed = f"{self._speed:.2g} times real time" if state == "running" else "&nbsp;"
         self._state.content = notice(
             state, f"{simulation.time / 1000:.3f} s of simulated time<br>{speed}", "#0072B2"
         )
