@@ -164,7 +164,7 @@ def _blocks(word: str) -> list[list[str]]:
                 {kind: None} if kind else {}
             )
     blocks = [block for block in (list(_function_lines(word)), list(_unit_lines(word))) if block]
-    for (noun, *text), sections in list(sections_by_lines.items())[:_MAX_SHOWN]:
+    for (noun, *text), sections in sections_by_lines.items():
         # A section of one of several agents takes the keys of the section of the only one.
         paths = {
             section: kinds

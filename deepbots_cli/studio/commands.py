@@ -61,8 +61,8 @@ MAX_LOG_BYTES = 200_000
 _MAX_LINE_BYTES = 1_000
 _BESIDE_LEARNING = re.compile(r"[\d,]+ of [\d,]+ steps  (.+?)(, needs .+)? \.\.\.")
 _EPISODES = re.compile(r"([\d,]+ of [\d,]+ episodes)(?:.*  (\d+ s to go))?")
-_START_S = 10.0
-"""The time in s within which a process locks its folder."""
+_START_S = 60.0
+"""The time in s within which a process locks its folder: 0.5 s alone, over 10 s on a busy machine."""
 _MAX_TASKS = 100
 
 
