@@ -216,7 +216,7 @@ def result_of_all(copies: Sequence[CopyResult]) -> CopyResult:
         for name in copies[0].info["reward_terms"]
     }
     info: Info = {
-        "is_success": bool(terminated) and all(copy.info["is_success"] for copy in terminated),
+        "is_success": bool(ended) and not failed,
         "ended_by": (failed or ended)[0].info["ended_by"] if ended else None,
         "endings": tuple(dict.fromkeys(name for copy in ended for name in copy.info["endings"])),
         "reward_terms": terms,

@@ -633,6 +633,14 @@ def test_limits_cut_all_short(copies: Make) -> None:
     assert info["ended_by"] == "max_steps"
 
 
+def test_a_limit_at_which_every_copy_succeeds_is_a_success(copies: Make) -> None:
+    environment = copies("truncation={max_steps: {limit: 2, success: all}}", "termination={}")
+    environment.reset(seed=0)
+    environment.step(np.zeros(3, int))
+    *_, truncated, info = environment.step(np.zeros(3, int))
+    assert (truncated, info["is_success"]) == (True, True)
+
+
 def test_draws_are_each_copys_own_and_parameters_are_shared(copies: Make) -> None:
     drawn = "parameters={cart_speed: 1 m/s, gust: uniform(0 .. 1), wind: uniform(0 .. 1) every 60 ms}"
     environment = copies(drawn, "reward={wind: wind, gust: gust}", "termination={}")
