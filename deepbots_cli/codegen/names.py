@@ -187,12 +187,13 @@ class Names:
         """Return the identifier for `key`, made of these parts."""
         if key not in self._identifiers:
             base = generated.identifier(*parts)
-            self._identifiers[key] = _unused(f"_{base}" if base[0].isdigit() else base, self._used)
+            self._identifiers[key] = unused_name(f"_{base}" if base[0].isdigit() else base, self._used)
             self._used.add(self._identifiers[key])
         return self._identifiers[key]
 
 
-def _unused(base: str, used: set[str]) -> str:
+def unused_name(base: str, used: set[str]) -> str:
+    """Return the name, with a number if it is used."""
     name = base
     number = 1
     while name in used:
@@ -245,7 +246,7 @@ class Constants:
     def _defined(self, base: str, code: str, text: str) -> str:
         if (base, code) not in self._names:
             upper = re.sub(r"\W", "_", base).upper()
-            name = _unused(f"_{upper}" if upper[0].isdigit() else upper, set(self._lines))
+            name = unused_name(f"_{upper}" if upper[0].isdigit() else upper, set(self._lines))
             note = comment(text) if text and comment(text).isprintable() and len(text) < 60 else ""
             self._lines[name] = f"{name} = {code}" + (f"  {note}" if note and note[2:] != code else "")
             self._names[base, code] = name

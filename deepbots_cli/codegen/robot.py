@@ -17,6 +17,7 @@ from deepbots_cli.codegen.names import (
     quoted_tuple,
     targets_code,
     tuple_code,
+    unused_name,
 )
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
@@ -79,7 +80,7 @@ class ControllerPrinter(ClassPrinter):
         devices = [f"self.{generated.sense(name)} = self.device({quoted(name)})" for name in self._devices]
         return fill_template(
             _CLASS,
-            name=controller_name(robot),
+            name=controller_names(self.scenario)[robot.name],
             base="RobotController" if on_floats else "BatchController",
             state=[f"STATE = {quoted_tuple(state_names)}", ""] if state_names else [],
             doc=docstring(f"Robot `{robot.name}`: emits {emitted}; drives {driven}."),
@@ -246,8 +247,15 @@ def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
     )
 
 
-def controller_name(robot: Robot) -> str:
-    return f"{class_name(robot.name)}Controller"
+def controller_names(scenario: Program) -> dict[str, str]:
+    """Return the class name of each robot: neither that of a base class, as for `robot`, nor that of another
+    robot, as for `arm_1` and `arm1`."""
+    taken = {"RobotController", "BatchController"}
+    names: dict[str, str] = {}
+    for robot in scenario.robots:
+        names[robot.name] = unused_name(f"{class_name(robot.name)}Controller", taken)
+        taken.add(names[robot.name])
+    return names
 
 
 class ActuatorBindings:

@@ -18,7 +18,7 @@ from deepbots_cli.codegen.names import (
 )
 from deepbots_cli.codegen.printer import Printer
 from deepbots_cli.codegen.reset import begin_method, bind_pushes, needs_arrangement, push_methods
-from deepbots_cli.codegen.robot import controller_name
+from deepbots_cli.codegen.robot import controller_names
 from deepbots_cli.codegen.step import (
     advance_methods,
     bind_python_functions,
@@ -144,10 +144,10 @@ def print_supervisor(scenario: Program, constants: Constants) -> list[str]:
 
 def _bind_robots(supervisor: SupervisorPrinter) -> list[str]:
     lines = []
+    class_names = controller_names(supervisor.scenario)
     for robot in supervisor.scenario.robots:
-        lines.append(
-            f"self.{generated.robot(robot.name)} = self.robot({quoted(robot.name)}, {controller_name(robot)})"
-        )
+        name = robot.name
+        lines.append(f"self.{generated.robot(name)} = self.robot({quoted(name)}, {class_names[name]})")
         for direction in get_args(Direction):
             method = "channel" if supervisor.scenario.is_direct(robot, direction) else "lossy_channel"
             lines.append(

@@ -147,6 +147,33 @@ def test_a_name_of_a_scenario_that_is_a_word_of_python_gives_a_class(tmp_path: P
     environment.close()
 
 
+@pytest.mark.parametrize("names", [("robot", "other"), ("arm_1", "arm1")])
+def test_each_robot_has_a_controller_of_its_own(make: Make, names: tuple[str, str]) -> None:
+    first, second = names
+    environment = make(f"""\
+deepbots: 1
+name: Two
+world: {{timestep: 20 ms}}
+robots:
+  {first}:
+    urdf: cartpole_rail
+    base: fixed
+    sensors: {{place: {{type: joint_position, joint: slider}}}}
+    actuators: {{motor: {{type: velocity_motor, joint: slider, max_torque: 10 N}}}}
+    emit: {{smooth: "low_pass(place, 0.1 s)"}}
+    apply: {{motor: drive * 0.1 m/s}}
+  {second}: {{urdf: cartpole_rail, base: fixed, actuators: {{motor: {{type: velocity_motor, joint: slider}}}},
+    apply: {{motor: -drive * 0.1 m/s}}}}
+action: {{drive: -1 .. 1}}
+observation: {{{first}.smooth: -1 .. 1 m}}
+reward: {{apart: "(joint_position({first}.slider) - joint_position({second}.slider)) / m"}}
+truncation: {{max_steps: 10}}
+""")
+    environment.reset(seed=0)
+    rewards = [environment.step([1.0])[1] for _ in range(5)]
+    assert rewards[-1] > 0.01
+
+
 @pytest.mark.parametrize("name", ["line follower", "3 carts", "Ünïcode", "a'b\\\"c", "x y-z_w", "..."])
 def test_a_name_of_a_scenario_without_the_form_of_a_name_is_refused(tmp_path: Path, name: str) -> None:
     checked = api.load(scenario(tmp_path, name=f'"{name}"'))
