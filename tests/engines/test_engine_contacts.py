@@ -17,7 +17,7 @@ import pytest
 from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.frames import quaternion
-from deepbots_cli.port import CAMERA_RANGE_M, Engine
+from deepbots_cli.port import CAMERA_RANGE_M, Engine, View
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import (
     Box,
@@ -470,6 +470,15 @@ def test_lines_are_seen_painted_on_a_floor_of_its_own_color(engine_name, build):
     assert (image.colors[track].argmax(axis=-1) == 0).all()
     beside = bare & (abs(largest - 0.5) > 0.06) & (np.hypot(x, y) > 0.12)
     assert (image.colors[beside].argmax(axis=-1) == 1).all()
+
+
+def test_a_later_line_covers_an_earlier_one_where_they_cross(engine_name, build):
+    along = Line("along", ((-1.0, 0.0), (1.0, 0.0)), False, 0.3, color=RED)
+    across = Line("across", ((0.0, -1.0), (0.0, 1.0)), False, 0.3, color=GREEN)
+    view = View((0.0, 0.0, 2.0), (0.0, 0.0, 0.0), 40, 40)
+    for lines, channel in (((along, across), 1), ((across, along), 0)):
+        engine = build(engine_name, WorldModel(timestep=0.01, substeps=1, lines=lines))
+        assert (engine.render(view)[18:22, 18:22].argmax(axis=-1) == channel).all()
 
 
 def test_a_side_in_the_plane_of_the_eye_does_not_hold_up_the_picture(engine_name, build):

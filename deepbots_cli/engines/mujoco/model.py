@@ -273,8 +273,8 @@ class ModelBuilder:
         self._made.append((body, {GROUND: self.spec.worldbody}, {}, {GROUND: [geom]}))
         self.pools.append(Pool(GROUND, [(GROUND, body)], pooled=False))
         if self._for_rendering:
-            for line in world.lines:
-                self._paint(line)
+            for number, line in enumerate(world.lines):
+                self._paint(line, 1e-3 + number * FACE_DISTANCE_M)
 
     def _relief(self, terrain: Terrain) -> HeightGrid:
         relief = height_grid(terrain.shape)
@@ -330,10 +330,10 @@ class ModelBuilder:
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
         return name
 
-    def _paint(self, line: Line) -> None:
-        """Add a box for each piece, and a disc at each of its ends."""
+    def _paint(self, line: Line, thin: float) -> None:
+        """Add a box for each piece, and a disc at each of its ends; a line that rises higher (m) covers those
+        below."""
         half = line.width / 2
-        thin = 1e-3
         for (x0, y0), (x1, y1) in line.pieces:
             long = float(np.hypot(x1 - x0, y1 - y0)) / 2
             yaw = float(np.arctan2(y1 - y0, x1 - x0))
