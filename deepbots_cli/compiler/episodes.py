@@ -714,9 +714,17 @@ def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -
             namespace.values.report_unknown(namespace.values.span(key_path), "agent", agent, [ALL_AGENTS])
 
 
-def success_help(limits: Truncation, timestep: float, instead: str, has_failures: bool) -> str:
+def success_help(
+    limits: Truncation, timestep: float, instead: str, has_failures: bool, agent: str | None
+) -> str:
     """Return how to define a success of episodes of at most `limits` and a control step of `timestep` s, or
-    to write `instead`."""
+    to write `instead`; `agent` is one of several agents."""
+    if agent is not None:
+        limit = f"max_time: {{limit: 20 s, success: {agent}}}"
+        return (
+            f"name `{agent}` under `success` of an ending, or of a limit as in `{limit}`; or require a return:"
+            f" `{instead}`"
+        )
     steps = limits.max_steps
     seconds = min(limits.max_time or inf, inf if steps is None else steps * timestep)
     if has_failures and seconds < inf:
@@ -743,7 +751,8 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
         return Solved(episodes, mean_return=threshold)
     if not (spec.defines_success or any(map(values.is_invalid, ("success", "termination", "goal")))):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
-        help = success_help(limits, timestep, instead, bool(spec.termination.failure))
+        has_failures = bool(spec.termination.failure)
+        help = success_help(limits, timestep, instead, has_failures, namespace.document.agent)
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes, success_rate=threshold)
 

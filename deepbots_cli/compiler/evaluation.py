@@ -99,9 +99,12 @@ _FIXED_SECTIONS = frozenset(
         "evaluation",
         "solved",
         "train",
+        "role",
         "tune",
     )
 )
+_SECTIONS_OF_AGENTS = frozenset(("agents", "endings"))
+"""Sections that the scenario of each of several agents has in another form."""
 _VARIANT_SECTIONS: tuple[NodePath, ...] = (("curriculum",), ("evaluation", "cases"))
 
 
@@ -441,7 +444,11 @@ class _VariantCompiler:
             if criterion and criterion.metric == "success_rate" and not spec.defines_success:
                 until = f"until: mean_return >= 100 over {criterion.episodes} episodes"
                 help = success_help(
-                    self._base.truncation, self._base.world.timestep, until, bool(spec.termination.failure)
+                    self._base.truncation,
+                    self._base.world.timestep,
+                    until,
+                    bool(spec.termination.failure),
+                    self._document.agent,
                 )
                 values.add_at_key("DB407", (*path, "until"), NO_SUCCESS_DEFINED, help)
             if stage.until is None and not last:
@@ -510,21 +517,25 @@ class _VariantCompiler:
 
     def _is_fixed(self, entry: Entry, word: VariantKind) -> bool:
         """Return whether a setting changes a property that a policy is made for, after a finding about it."""
-        path = setting_path(self._values.root, entry.key.text.strip())
+        setting = entry.key.text.strip()
+        path = setting_path(self._values.root, setting)
         head = str(path[0]) if path else ""
+        help = (
+            f"remove this change; a {word} can change the world, the reset, the reward, the endings and"
+            " the parameters"
+        )
         # The run has one copy of the robot, with the arguments of the scenario.
-        places = (place for place, _ in walk_nodes(entry.value, path))
+        places = [place for place, _ in walk_nodes(entry.value, path)]
         if any(place[:1] + place[2:3] == ("robots", "xacro") for place in places):
             head = "xacro"
+        elif self._document.agent is not None and (
+            head in _SECTIONS_OF_AGENTS or (head == "truncation" and max(map(len, places)) > 2)
+        ):
+            head = setting
+            help = f"use a parameter there, and change the parameter in the {word}"
         elif head not in _FIXED_SECTIONS:
             return False
-        self._values.add(
-            "DB407",
-            entry.key.span,
-            f"a {word} cannot change `{head}`",
-            f"remove this change; a {word} can change the world, the reset, the reward, the endings and"
-            " the parameters",
-        )
+        self._values.add("DB407", entry.key.span, f"a {word} cannot change `{head}`", help)
         return True
 
     def _admits_same_policy(self, program: Program, word: VariantKind, name: str, name_span: Span) -> bool:
@@ -740,13 +751,14 @@ class _Reader(NamespaceReader):
                         if key == "success_rate"
                         else "a failure rate needs a failure, but the scenario does not define one"
                     )
-                    self._values.add(
-                        "DB407",
-                        text.span,
-                        headline,
-                        f"add a condition under `termination.{key.removesuffix('_rate')}`, or expect"
-                        " something else, such as `ends_by`",
+                    agent, outcome = self._namespace.document.agent, key.removesuffix("_rate")
+                    help = (
+                        f"add a condition under `termination.{outcome}`"
+                        if agent is None
+                        else f"name `{agent}` under `{outcome}` in `endings`"
                     )
+                    help += ", or expect something else, such as `ends_by`"
+                    self._values.add("DB407", text.span, headline, help)
                 if bounds is not None:
                     yield ExpectedResult(key, text.span, text.text, *bounds)
         if spec.ends_by is not None:
