@@ -278,7 +278,8 @@ def compare(
 
     A group is evaluated in the scenario of the first run if observation, action, robots, actuators and
     `apply` of its own scenario mean the same. Otherwise it is evaluated in its own scenario, from starts with
-    the same seeds, and what does not mean the same in both scenarios is not compared.
+    the same seeds, and what does not mean the same in both scenarios is not compared. The engine is that of
+    the training of each run, unless `scenario` names another.
 
     Args:
         runs: Groups, run directories, models in them, or folders of run directories; at least two runs or
@@ -321,7 +322,14 @@ def compare(
         "build": build,
     }
     calls = [
-        _Evaluation(ref, options | {"scenario": None if world.own else judged})
+        _Evaluation(
+            ref,
+            options
+            | {
+                "scenario": None if world.own else judged,
+                "engine": ref.run.record.engine if scenario is None else None,
+            },
+        )
         for group, world in zip(members, worlds, strict=True)
         for ref in group.models
     ]
@@ -492,7 +500,10 @@ def _records(models: Sequence[ModelRef]) -> list[Path]:
 
 
 class _GroupMembers(NamedTuple):
+    """The models of a group; `path` tells it apart from groups of the same name."""
+
     name: str
+    path: Path
     models: Sequence[ModelRef]
     waiting: tuple[int, ...] = ()
 
@@ -511,17 +522,18 @@ def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
             if ref.path not in [member.path for member in alike]:
                 alike.append(ref)
             name = alike[0].label + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
-            groups_by_key[key] = _GroupMembers(name, alike)
+            groups_by_key[key] = _GroupMembers(name, _shown_path(alike[0]), alike)
     groups = list(groups_by_key.values())
     if len(groups) == 1:
-        groups = [_GroupMembers(ref.label, (ref,)) for ref in groups[0].models]
+        groups = [_GroupMembers(ref.label, _shown_path(ref), (ref,)) for ref in groups[0].models]
     names = [group.name for group in groups]
-    return [_with_path(group) if names.count(group.name) > 1 else group for group in groups]
+    return [
+        group._replace(name=str(group.path)) if names.count(group.name) > 1 else group for group in groups
+    ]
 
 
-def _with_path(group: _GroupMembers) -> _GroupMembers:
-    ref = group.models[0]
-    return group._replace(name=str(ref.run.path if ref.name == "best" else ref.path))
+def _shown_path(ref: ModelRef) -> Path:
+    return ref.run.path if ref.name == "best" else ref.path
 
 
 def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
@@ -537,7 +549,8 @@ def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:
             f" {shell_word(group.path)}"
         )
     waiting = tuple(seed for seed in group.record.seeds if group.run(seed) not in ready)
-    return _GroupMembers(group.path.name, [ModelRef.open(run, model=model) for run in ready], waiting)
+    models = [ModelRef.open(run, model=model) for run in ready]
+    return _GroupMembers(group.path.name, group.path, models, waiting)
 
 
 def _solved_after(ref: ModelRef) -> int | None:
@@ -612,7 +625,9 @@ def _notes(
     runs = [ref.run for group in members for ref in group.models]
     notes += [note for run in runs for note in run.notes_on_physics()]
     if len({run.record.engine for run in runs}) > 1:
-        notes.append("the runs were trained in different engines; each run is evaluated in its own engine")
+        engines = {str(result.engine) for group in groups for result in group.evaluations}
+        where = "its own engine" if len(engines) > 1 else f"the engine {engines.pop()}"
+        notes.append(f"the runs were trained in different engines; each run is evaluated in {where}")
     rewards = {change.text: change for world in worlds if not world.own for change in world.trainings.reward}
     if rewards:
         notes.append(

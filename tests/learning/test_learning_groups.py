@@ -22,6 +22,7 @@ import stand_in
 from stand_in import hyper
 
 import deepbots_cli
+from deepbots_cli import api
 from deepbots_cli.analysis.changes import scenario_changes
 from deepbots_cli.cli import records
 from deepbots_cli.cli.arguments import open_source
@@ -458,6 +459,14 @@ def test_runs_in_folders_of_the_same_name_are_compared_under_their_paths(
     assert [group.name for group in comparison.groups] == [str(run_copy), str(copy)]
 
 
+def test_groups_of_the_same_name_are_compared_under_their_own_paths(
+    trained_group: GroupTraining, tmp_path: Path
+) -> None:
+    copy = shutil.copytree(trained_group.group, tmp_path / "second" / trained_group.group.name)
+    comparison = compare([trained_group.group, copy], episodes=1, build=stand_in.build)
+    assert [group.name for group in comparison.groups] == [str(trained_group.group), str(copy)]
+
+
 def test_runs_are_sorted_with_those_without_a_value_at_the_end(run_copy: Path) -> None:
     damaged = run_copy.parent / "damaged"
     damaged.mkdir()
@@ -585,6 +594,23 @@ def test_policies_whose_apply_differs_are_each_played_in_their_own_scenario(
     )
     assert named.scenario == "stand_in"
     assert any("something else than here: robots.cart.apply.wheels" in note for note in named.notes)
+
+
+def test_runs_of_two_engines_are_each_evaluated_in_their_own_in_any_order(tmp_path: Path) -> None:
+    runs = [
+        train(
+            api.compile("cartpole", overrides=[f"world.engine={engine}"]),
+            total_timesteps=256,
+            run=tmp_path / engine,
+        ).run
+        for engine in ("mujoco", "pybullet")
+    ]
+    for order in (runs, runs[::-1]):
+        comparison = compare(order, episodes=1)
+        engines = [(group.name, group.evaluations[0].engine) for group in comparison.groups]
+        assert engines == [(run.name, run.name) for run in order]
+    comparison = compare(runs, episodes=1, scenario=api.compile("cartpole", overrides=["world.engine=mujoco"]))
+    assert any(note.endswith("each run is evaluated in the engine mujoco") for note in comparison.notes)
 
 
 def test_returns_of_different_rewards_are_left_out_where_each_policy_is_in_its_own_scenario(
