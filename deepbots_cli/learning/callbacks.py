@@ -259,6 +259,7 @@ class TrainingEvaluations:
         shortlist: The models of the best evaluations.
         returns: The lowest and the highest return in the evaluations of the stage.
         evaluated_at: The steps of the training at the last evaluation.
+        improved_at: The steps at the last one that was better than all before in its stage.
         count: The number of evaluations in this process.
         newest: The result of the last one.
         has_new_weights: Whether the networks have changed since.
@@ -276,6 +277,7 @@ class TrainingEvaluations:
         )
         self.returns: Interval | None = None
         self.evaluated_at = -1
+        self.improved_at = 0
         self.count = 0
         self.newest: Candidate | None = None
         self.has_new_weights = True
@@ -320,6 +322,14 @@ class TrainingEvaluations:
         lowest, highest = self.returns or (math.inf, -math.inf)
         self.returns = min(lowest, summary.least_return), max(highest, summary.greatest_return)
         self.newest = Candidate.of(self.evaluated_at, summary)
+        before, measure = self.shortlist.best, self.shortlist.measure
+        # The rank without the steps: an equal evaluation is not better.
+        if (
+            self.shortlist.keeps_newest
+            or before is None
+            or self.newest.rank(measure)[0] > before.rank(measure)[0]
+        ):
+            self.improved_at = self.evaluated_at
         is_best = self.shortlist.add(self.newest, active.learner.save)
         self._append(
             "training.jsonl", {"steps": self.evaluated_at, "stage": stage, "is_best": is_best}, episodes
@@ -422,6 +432,7 @@ class CallbackState(BaseModel, strict=True, allow_inf_nan=False):
     met_in_a_row: Annotated[int, Field(ge=0, le=100_000)]
     returns: tuple[float, float] | None
     evaluated_at: Annotated[int, Field(ge=-1)]
+    improved_at: NonNegativeInt = 0
     evaluation_steps: NonNegativeInt
     teacher: TeacherState | None
 
@@ -507,6 +518,7 @@ class TrainingCallback:
             met_in_a_row=self.confirmations.met_in_a_row,
             returns=self.evaluations.returns,
             evaluated_at=self.evaluations.evaluated_at,
+            improved_at=self.evaluations.improved_at,
             evaluation_steps=self.active.evaluator.steps,
             teacher=None if self.teaching is None else self.teaching.state(),
         )
@@ -521,6 +533,7 @@ class TrainingCallback:
         self.confirmations.met_in_a_row = state.met_in_a_row
         self.evaluations.returns = state.returns
         self.evaluations.evaluated_at = state.evaluated_at
+        self.evaluations.improved_at = state.improved_at
         self._kept_candidates = state.candidates
         self.active.evaluator.steps = state.evaluation_steps
         self._steps_before = self.evaluation_steps
@@ -713,12 +726,12 @@ class TrainingCallback:
     def _check_patience(self) -> None:
         """Stop a training that has had no better evaluation for `patience` steps."""
         training = self.active.run.program.agent.training
-        best = self.best
-        if training is None or training.patience is None or best is None or self.stopped_by is not None:
+        improved_at = self.evaluations.improved_at
+        if training is None or training.patience is None or self.best is None or self.stopped_by is not None:
             return
-        if self.active.statistics.steps - best.steps >= training.patience:
+        if self.active.statistics.steps - improved_at >= training.patience:
             self.stopped_by = PATIENCE
             self.active.reporter.note(
-                f"no better model since {best.steps:,} steps (`patience: {training.patience}`); the training"
+                f"no better model since {improved_at:,} steps (`patience: {training.patience}`); the training"
                 " stops"
             )

@@ -169,6 +169,7 @@ class CheckpointState(CheckpointPart):
         steps, statistics = self.steps, self.statistics
         step_counts = [
             self.callback.evaluated_at,
+            self.callback.improved_at,
             self.callback.next_beat - MAX_CHECK_INTERVAL,
             self.curriculum.first_step,
         ]

@@ -768,6 +768,14 @@ def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: P
     assert any("`patience: 1000`" in note for note in notes.notes)
 
 
+def test_a_training_whose_evaluations_stay_equal_ends_after_its_patience(tmp_path: Path) -> None:
+    training = Training("PPO", 6_000, 2, hyper(n_steps=32), patience=1_000)
+    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=6)
+    result = train(task, runs=tmp_path, build=Worlds(poor, choice=poor))
+    assert result.stopped_by == PATIENCE
+    assert result.steps < 5_000
+
+
 def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:
     build = Worlds(poor)
     result = learned(

@@ -609,7 +609,9 @@ def test_runs_of_two_engines_are_each_evaluated_in_their_own_in_any_order(tmp_pa
         comparison = compare(order, episodes=1)
         engines = [(group.name, group.evaluations[0].engine) for group in comparison.groups]
         assert engines == [(run.name, run.name) for run in order]
-    comparison = compare(runs, episodes=1, scenario=api.compile("cartpole", overrides=["world.engine=mujoco"]))
+    comparison = compare(
+        runs, episodes=1, scenario=api.compile("cartpole", overrides=["world.engine=mujoco"])
+    )
     assert any(note.endswith("each run is evaluated in the engine mujoco") for note in comparison.notes)
 
 
