@@ -481,7 +481,8 @@ def evaluate_group(
         if enough(()):
             break
     evaluations.close()
-    return GroupResult(members.name, tuple(group_results), members.waiting)
+    solved_after = map(_solved_after, members.models[: len(group_results)])
+    return GroupResult(members.name, tuple(group_results), members.waiting, tuple(solved_after))
 
 
 class _Evaluation(NamedTuple):

@@ -46,6 +46,7 @@ from deepbots_cli.learning.comparison import GroupDifference, GroupResult
 from deepbots_cli.learning.executor import SERIAL, Attempt
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import run_lock
+from deepbots_cli.learning.runs.episodes import SolvedAt
 from deepbots_cli.learning.runs.records import short_settings
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import (
@@ -742,3 +743,16 @@ def test_a_group_counts_solved_runs_by_their_verdicts(group: GroupTraining) -> N
         Run.open(result.run).write_evaluation(result.model_dump(mode="json"))
     assert "solved              1 of 3 seeds" in records.group_text(evaluation)
     assert records.group_json(evaluation)["solved"] == [True, False, False]
+
+
+def test_an_evaluated_group_has_the_steps_until_each_run_was_solved(group: GroupTraining) -> None:
+    first = Run.open(group.group / "seed-0")
+    assert first.record.result is not None
+    solved_at = SolvedAt(9, 90, 0.1, 1.0, 200.0, 0.0)
+    first.update(result=first.record.result.model_copy(update={"solved_at": solved_at}))
+    evaluation = evaluate(first, episodes=2, build=stand_in.build).model_copy(
+        update={"episodes": 100, "solved": True}
+    )
+    first.write_evaluation(evaluation.model_dump(mode="json"))
+    of_group = evaluate_group(group.group, episodes=2, build=stand_in.build)
+    assert records.group_json(of_group)["solved_after"] == (90, None, None)
