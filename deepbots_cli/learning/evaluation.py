@@ -170,6 +170,11 @@ def _play_part(part: _Part, attempt: Attempt) -> list[Episode]:
     )
 
 
+def planned_episodes(run: Run, *options: Any, **further_options: Any) -> int:
+    """Return the number of episodes of `evaluate` without `until`, for its options."""
+    return _Setting(run, *options, **further_options).episodes
+
+
 def play_models(
     run: Run,
     models: Sequence[ModelName],
@@ -355,9 +360,14 @@ class _Setting:
         self.seed = run.evaluation_seed if seed is None else seed
         engine = engine or run.engine_for(self.program)
         self.engine = None if build else engine
-        usual = self._usual_episodes()
+        result = run.record.result
+        best = result.best if result is not None and result.confirmed_seed == self.seed else None
+        confirmed = None if best is None else best.episodes
+        usual = (self.judged or run).program.evaluation_episodes(case)
+        if self._is_of_training and confirmed is not None:
+            usual = confirmed
         self.episodes = usual if episodes is None else episodes
-        if seed is None and self._has_confirmed_starts and self.episodes != usual:
+        if seed is None and confirmed is not None and episodes not in (None, confirmed):
             # The episodes of the confirmation are a selected sample: all of them were needed to pass.
             self.seed = run.record.seed
         if self.episodes < 1 or self.seed < 0:
@@ -397,14 +407,6 @@ class _Setting:
     def _is_of_training(self) -> bool:
         """Whether the scenario and the engine are those of the training."""
         return (self.judged, self.case, self.stage, self.engine) == (None, None, None, self.run.record.engine)
-
-    def _usual_episodes(self) -> int:
-        """Return the default number of episodes: that of the scenario or the case, or that of the
-        confirmation which they repeat."""
-        count = (self.judged or self.run).program.evaluation_episodes(self.case)
-        result = self.run.record.result
-        best = None if result is None or not self._has_confirmed_starts else result.best
-        return count if best is None or best.episodes is None else best.episodes
 
     @property
     def _has_confirmed_starts(self) -> bool:

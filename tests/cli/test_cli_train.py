@@ -659,6 +659,36 @@ def test_engines_are_compared_from_the_same_starts(deepbots, trained):
     assert "mujoco - pybullet" in output
 
 
+@pytest.fixture
+def confirmed(trained, tmp_path):
+    """The run as if a confirmation of three episodes had ended its training."""
+    path = tmp_path / "mine" / "run.json"
+    record = json.loads(path.read_text())
+    record["result"] |= {"confirmed_seed": 7, "confirmations": 1}
+    record["result"]["best"] |= {"chosen_by": "confirmation", "episodes": 3}
+    path.write_text(json.dumps(record))
+
+
+@pytest.mark.parametrize(("options", "expected"), [((), (7, 3)), (("--episodes", "2"), (0, 2))])
+def test_a_confirmed_policy_plays_the_same_starts_in_every_engine(deepbots, confirmed, options, expected):
+    pytest.importorskip("pybullet")
+    report = json.loads(deepbots("eval", "mine", "--engine", "mujoco,pybullet", *options, "--json").out)
+    assert [(result["seed"], result["episodes"]) for result in report["evaluations"]] == [expected] * 2
+
+
+def test_baselines_have_the_starts_of_a_confirmed_policy_that_a_requirement_stopped(deepbots, confirmed):
+    ran = deepbots("eval", "mine", "--min-return", "1000", "--baselines", "--json", code=1)
+    report = json.loads(ran.out)
+    assert (report["seed"], report["episodes"]) == (7, 1)
+    assert {(baseline["seed"], baseline["episodes"]) for baseline in report["baselines"]} == {(7, 1)}
+
+
+def test_a_requirement_is_about_all_episodes_of_a_confirmed_policy(deepbots, confirmed):
+    ran = deepbots("eval", "mine", "--require-solved", "--min-return", "2", code=1)
+    assert "met: mean return of at least 2" in ran.err
+    assert "in 3 episodes)" in ran.err
+
+
 def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots, trained):
     elsewhere = ("--scenario", "cartpole", "--episodes", "2", "--json")
     lengths = [

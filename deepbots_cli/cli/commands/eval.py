@@ -318,9 +318,13 @@ def _evaluate_run(
     for program in programs:
         gates.check(program)
         program.variant(case, stage)
-    planned = [request.options["episodes"] or program.evaluation_episodes(case) for program in programs]
     with terminal.transient_line("loading the policy ..."):
+        from deepbots_cli.learning.evaluation import planned_episodes
         from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
+    planned = [
+        planned_episodes(run, request.options["episodes"], seed, judged, case, stage, engine=name)
+        for name, judged in zip(request.engines, scenarios, strict=True)
+    ]
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     arguments.check_dividable(request.workers, request.address, parts, reason)
@@ -330,10 +334,23 @@ def _evaluate_run(
         for name, judged, program, count in zip(request.engines, scenarios, programs, planned, strict=True):
             # Engines are compared on the same starts, so that each of several plays all episodes.
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
-            further_options = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
+            first = evaluations[0].result if evaluations else None
+            further_options = {
+                "seed": seed if first is None else first.seed,
+                "model": ref.name,
+                "scenario": judged,
+                "engine": name,
+            }
             try:
                 evaluation = _evaluate_in_engine(
-                    request, run, further_options, until, executor, baselines=baselines, details=details
+                    request,
+                    run,
+                    further_options,
+                    until,
+                    executor,
+                    first,
+                    baselines=baselines,
+                    details=details,
                 )
             except KeyboardInterrupt:
                 if not evaluations:
@@ -343,9 +360,7 @@ def _evaluate_run(
             result = evaluations[-1].result
             records.write_evaluation(run, evaluations[-1].as_json())
             prefix = f"{result.engine}: " if len(scenarios) > 1 else ""
-            requirements += [
-                requirement.with_words(prefix) for requirement in gates.requirements(result, count)
-            ]
+            requirements += [requirement.with_words(prefix) for requirement in gates.requirements(result)]
             if evaluation.unfinished:
                 break
     if missing := tuple(f"engine {name}" for name in request.engines[len(evaluations) :]):
@@ -372,21 +387,30 @@ def _evaluate_in_engine(
     further_options: Mapping[str, Any],
     until: StopCondition | None,
     executor: Executor,
+    first: EvaluationResult | None,
     *,
     baselines: bool,
     details: bool,
 ) -> _EngineEvaluations:
     """Evaluate a model of a run, and the models that it is compared with; `further_options` are options of
-    `evaluate`. An interruption ends it, and is raised if nothing is finished."""
+    `evaluate`, and `first` is the evaluation in the first engine. An interruption ends it, and is raised if
+    nothing is finished."""
     case = request.case
     stage = request.stage
     engine = further_options["engine"]
     judged = further_options["scenario"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     options = {**request.options, **further_options}
+    episodes = options["episodes"] if first is None else first.episodes
     with terminal.progress(unit, always=False) as show_episode:
         result = learning.evaluate(
-            run, case=case, stage=stage, until=until, executor=executor, on_episode=show_episode, **options
+            run,
+            case=case,
+            stage=stage,
+            until=until,
+            executor=executor,
+            on_episode=show_episode,
+            **options | {"episodes": episodes},
         )
     cases: list[EvaluationResult] = []
     scripted: Sequence[EvaluationResult] = ()
@@ -405,7 +429,7 @@ def _evaluate_in_engine(
             of_policy = ("model", "deterministic")
             baseline_options = {name: value for name, value in options.items() if name not in of_policy}
             # The evaluation may have ended early, and baselines have its starts.
-            baseline_options["episodes"] = result.episodes
+            baseline_options |= {"episodes": result.episodes, "seed": result.seed}
             with terminal.progress(f"{unit} of baselines", always=False) as show_episode:
                 scripted = learning.evaluate_baselines(
                     run, case=case, stage=stage, on_episode=show_episode, **baseline_options
@@ -740,11 +764,12 @@ class Gates:
             None if self.solved else partial(self.decided, planned=planned, bounds=possible_returns(program))
         )
 
-    def requirements(self, result: EvaluationResult, planned: int) -> list[Requirement]:
+    def requirements(self, result: EvaluationResult) -> list[Requirement]:
         """Return the answers for a run. A requirement that another one has left undecided is left out."""
         requirements = []
         if self.solved:
             requirements.append(Requirement("the task is solved", bool(result.solved), result.answer))
+        planned = result.planned or result.episodes
         answers = self.verdicts(result.outcomes, planned, result.possible_returns)
         requirements += [
             Requirement(words, verdict.met, verdict.reason)
