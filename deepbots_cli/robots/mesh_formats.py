@@ -31,6 +31,7 @@ from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.frames import from_axis_angle, rotate
@@ -106,7 +107,7 @@ _STL_PLACE = rb"(?i)vertex" + _THREE_NUMBERS
 def is_text_stl(data: bytes) -> bool:
     """Return whether an STL file is text; some programs begin the header of a binary file with `solid`
     too."""
-    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data
+    return data.lstrip()[:5].lower() == b"solid" and b"facet" in data.lower()
 
 
 def _stl_triangles(data: bytes) -> Placed:
@@ -486,7 +487,7 @@ def read_gltf(path: Path, limit: int) -> bytes:
 def _buffer(uri: str, folder: Path, limit: int) -> bytes:
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2], validate=True)
-    path = Path(os.path.realpath(folder / uri.replace("%20", " ")))
+    path = Path(os.path.realpath(folder / unquote(uri)))
     if "://" in uri or not path.is_relative_to(os.path.realpath(folder)):
         raise FaultyMeshError("a buffer of the glTF file lies outside its folder")
     if not is_file(path):

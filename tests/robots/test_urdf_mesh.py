@@ -252,6 +252,8 @@ def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
         "b.stl": stl(2, 2),
         "c.STL": b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\n"
         b"endloop\nendfacet\nendsolid x\n",
+        "capitals.stl": b"SOLID X\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\n"
+        b"ENDLOOP\nENDFACET\nENDSOLID X\n",
         "d.dae": sheets("d.dae", 1),
     }
     for name, data in contents.items():
@@ -790,10 +792,10 @@ def test_a_file_of_trimesh_gives_its_triangles(tmp_path: Path, suffix: str):
 
 def test_buffers_in_the_text_and_beside_the_file_give_the_same(tmp_path: Path):
     uri = "data:application/octet-stream;base64," + base64.b64encode(POINTS).decode()
-    for name, address in (("a.gltf", uri), ("b.gltf", "b.bin")):
+    for name, address in (("a.gltf", uri), ("b.gltf", "bras%20n%C2%B01%20%C3%A9.bin")):
         document = {**DOCUMENT, "buffers": [{"byteLength": 36, "uri": address}]}
         (tmp_path / name).write_text(json.dumps(document))
-    (tmp_path / "b.bin").write_bytes(POINTS)
+    (tmp_path / "bras n\u00b01 \u00e9.bin").write_bytes(POINTS)
     first, second = (read_gltf(tmp_path / name, MAX_BYTES) for name in ("a.gltf", "b.gltf"))
     assert first == second
     ((part, rows),) = gltf_triangles(first)
