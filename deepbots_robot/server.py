@@ -104,7 +104,8 @@ class Commands:
             value = np.clip(wanted, output.low, output.high)
             last = self._last.get(output.field.name)
             if last is not None:
-                reach = output.max_rate * elapsed
+                # A coarse clock may show no time at all, and inf * 0 is not a number.
+                reach = output.max_rate * max(elapsed, np.finfo(float).tiny)
                 # The range is applied last.
                 value = np.clip(np.clip(value, last - reach, last + reach), output.low, output.high)
             changed |= bool((value != wanted).any())

@@ -821,6 +821,17 @@ def test_resets_do_not_make_commands_change_faster() -> None:
         assert abs(after[0] - before[0]) <= rate * (later - earlier) + rate / RATE
 
 
+def test_a_step_in_the_same_tick_of_the_clock_as_the_last_one_commands_a_number() -> None:
+    world = World()
+    world.line.put(100.0, 0.3)
+    world.line.now = 100.0
+    world.server.turn()
+    world.line.coming.append((100.0, Arrival("robot", kind="reset", stamp=100.0, number=1)))
+    world.line.put(100.0, 0.2, stamp=100.001)
+    world.server.turn()
+    assert [command for _, command in world.line.sent] == [[3.0, 3.0], [2.0, 2.0]]
+
+
 def test_a_websocket_message_of_endless_empty_parts_is_ended() -> None:
     with (
         closing(opened(LINKS["websocket"], robot=False)),
