@@ -205,12 +205,14 @@ class DefinitionAnalysis:
         match node:
             case Name(name, component):
                 sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
+                if sensor is None and name in self._defined:
+                    return node
                 if sensor is not None and (
                     (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose())
                     or sensor.is_direct
                 ):
                     return sensor.world_value(robot, component)
-                return node if name in self._defined else Name(f"{robot}:{name}", component)
+                return Name(f"{robot}:{name}", component)
             case Op(op, args):
                 return Op(op, tuple(self._on_robot(arg, robot) for arg in args))
             case State(function, args, slot):

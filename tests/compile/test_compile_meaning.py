@@ -777,6 +777,24 @@ def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
     }  # which it comes to, instead of following 2^59 paths
 
 
+@pytest.mark.parametrize(
+    ("section", "ending"),
+    [
+        ("signals: {lean: cart.lean}\nreward:", "fallen: abs(lean)"),
+        ("reward:", "lean: abs(cart.lean)"),
+    ],
+)
+def test_rules_follow_a_signal_or_an_ending_that_has_the_name_of_the_noisy_sensor_it_reads(
+    workshop, rail, section: str, ending: str
+) -> None:
+    text = rail(
+        ("joint_position, joint: hinge}", "joint_position, joint: hinge, noise: 0.1 deg}"),
+        ("reward:", section),
+        ("fallen: abs(cart.lean)", f"late: step > 500\n    {ending}"),
+    )
+    assert workshop.codes(text) == ["DB804"]
+
+
 CART = "    sensors:"
 
 
