@@ -220,6 +220,11 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
             )
 
 
+def _of_supervisor(analysis: Analysis, name: str) -> Expression | None:
+    """Return the definition of a name; None of a value of a message, whose own names are those of a robot."""
+    return None if "." in name else analysis.expression_named(name)
+
+
 def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     """Return whether an expression is 0, or has a factor 0, as a number or as a parameter."""
 
@@ -230,7 +235,7 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
         case Constant(values=values):
             return not any(values)
         case Reference(symbol=symbol):
-            definition = analysis.expression_named(symbol.name)
+            definition = _of_supervisor(analysis, symbol.name)
             return (symbol.value is not None and not any(symbol.value)) or (
                 definition is not None and is_off(definition.typed)
             )
@@ -276,7 +281,7 @@ def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
         return True
     if isinstance(node, Reference) and node.symbol.name not in met:
         met.add(node.symbol.name)
-        definition = analysis.expression_named(node.symbol.name)
+        definition = _of_supervisor(analysis, node.symbol.name)
         return definition is not None and (
             definition.foreign is not None or _is_conditional(definition.typed, analysis, met)
         )

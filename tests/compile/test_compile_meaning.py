@@ -778,21 +778,28 @@ def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
 
 
 @pytest.mark.parametrize(
-    ("section", "ending"),
+    ("changes", "code"),
     [
-        ("signals: {lean: cart.lean}\nreward:", "fallen: abs(lean)"),
-        ("reward:", "lean: abs(cart.lean)"),
+        (
+            {"reward:": "signals: {lean: cart.lean}\nreward:", "abs(cart.lean)": "step > 500 and lean"},
+            "DB804",
+        ),
+        ({"fallen: abs(cart.lean)": "late: step > 500\n    lean: abs(cart.lean)"}, "DB804"),
+        (
+            {
+                "reward:": "signals: {lean: cart.lean}\nreward:",
+                "alive: 1": "alive: 1, up: lean / rad * weight, no: 1 when step < 0",
+                "{cart_speed": "{weight: 0, cart_speed",
+            },
+            "DB704",
+        ),
     ],
 )
 def test_rules_follow_a_signal_or_an_ending_that_has_the_name_of_the_noisy_sensor_it_reads(
-    workshop, rail, section: str, ending: str
+    workshop, rail, changes: dict[str, str], code: str
 ) -> None:
-    text = rail(
-        ("joint_position, joint: hinge}", "joint_position, joint: hinge, noise: 0.1 deg}"),
-        ("reward:", section),
-        ("fallen: abs(cart.lean)", f"late: step > 500\n    {ending}"),
-    )
-    assert workshop.codes(text) == ["DB804"]
+    noisy = ("joint_position, joint: hinge}", "joint_position, joint: hinge, noise: 0.1 deg}")
+    assert workshop.codes(rail(noisy, *changes.items())) == [code]
 
 
 CART = "    sensors:"
