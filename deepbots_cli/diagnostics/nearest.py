@@ -124,7 +124,7 @@ MODULES = frozenset({"math", "np", "numpy", "torch", "jnp", "random", "std", "Ma
 _GROUP = r"[^()]*(?:\([^()]*\)[^()]*)*"
 _IF = (
     rf"\s*if\s*(?:\((?P<group>{_GROUP})\)|(?P<open>[^:{{}}]+?)(?=\s*(?::|\bthen\b)))\s*(?::|\bthen\b)?\s*"
-    r"(?:\{\s*)?(?P<value>[^{}:;]+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
+    r"(?:\{\s*)?(?P<value>(?:(?!\bthen\b)[^{}:;])+?)\s*;?\s*\}?\s*\belse\b\s*:?\s*"
     r"(?:\{\s*)?(?P<otherwise>[^{}:;]+?)\s*;?\s*\}?\s*"
 )
 _SIDE = r"(?:[^?:()]|\((?:[^?:()]|\([^?:()]*\))*\))+?"
