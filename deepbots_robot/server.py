@@ -259,11 +259,11 @@ class Server:
         received = self.intake.newest()[1]
         values = self.intake.values()
         try:
-            found = self._policy.step(values)
+            command = self._policy.step(values)
         except Exception as error:  # noqa: BLE001  whatever a graph raises, the robot gets a command
             self._send_safe("policy", f"the policy fails: {' '.join(str(error).split())[:120]}")
             return
-        if found is None:
+        if command is None:
             self._send_safe("pause", "no episode runs")
             return
         now = self._clock()
@@ -271,14 +271,14 @@ class Server:
         # A step is sooner only after a reset, which does not extend the reach.
         if self._lockstep or passed >= (1.0 - EARLY) * self._step_time:
             passed = max(passed, self._step_time)
-        commands = self.commands.limit(found, passed)
+        commands = self.commands.limit(command, passed)
         if commands is None:
             self._send_safe("policy", "the policy computes a command that is not finite")
             return
         if self._is_safe:
             self._event("resumed", "all inputs are there again")
         self._is_safe, self._fault = False, ""
-        self._send({ACTION: np.atleast_1d(found[ACTION]), **commands} if ACTION in found else commands)
+        self._send({ACTION: np.atleast_1d(command[ACTION]), **commands} if ACTION in command else commands)
         answer = 0.0 if held else self._clock() - received
         self.steps += 1
         if not held:

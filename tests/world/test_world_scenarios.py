@@ -238,9 +238,9 @@ def test_a_robot_of_a_package_runs_with_sensors_on_any_link(tmp_path: Path, file
     )
     path = tmp_path / "tour.yaml"
     path.write_text(text, encoding="utf-8")
-    found = api.lint(path)
-    assert [finding.headline for finding in found if finding.severity == "error"] == []
-    assert [finding for finding in found if finding.span.source.name.endswith(".urdf")] == []
+    findings = api.lint(path)
+    assert [finding.headline for finding in findings if finding.severity == "error"] == []
+    assert [finding for finding in findings if finding.span.source.name.endswith(".urdf")] == []
     with closing(api.make(path)) as environment:
         environment.action_space.seed(0)
         environment.reset(seed=0)
