@@ -523,18 +523,14 @@ def _members(paths: Sequence[Path], model: ModelName) -> list[_GroupMembers]:
             if ref.path not in [member.path for member in alike]:
                 alike.append(ref)
             name = alike[0].label + (f" and {len(alike) - 1} more" if len(alike) > 1 else "")
-            groups_by_key[key] = _GroupMembers(name, _shown_path(alike[0]), alike)
+            groups_by_key[key] = _GroupMembers(name, alike[0].shown_path, alike)
     groups = list(groups_by_key.values())
     if len(groups) == 1:
-        groups = [_GroupMembers(ref.label, _shown_path(ref), (ref,)) for ref in groups[0].models]
+        groups = [_GroupMembers(ref.label, ref.shown_path, (ref,)) for ref in groups[0].models]
     names = [group.name for group in groups]
     return [
         group._replace(name=str(group.path)) if names.count(group.name) > 1 else group for group in groups
     ]
-
-
-def _shown_path(ref: ModelRef) -> Path:
-    return ref.run.path if ref.name == "best" else ref.path
 
 
 def _open_runs(group: Group, model: ModelName = "best") -> _GroupMembers:

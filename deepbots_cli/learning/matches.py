@@ -235,10 +235,14 @@ def _world_of(program: Program) -> Program:
 
 
 def _policies(program: Program, refs: Sequence[ModelRef], *, is_symmetric: bool) -> list[Player]:
-    """Return the player of each model."""
+    """Return the player of each model; of several with one label, the path is the name."""
+    labels = [POLICY if ref is refs[0] else ref.label for ref in refs]
     return [
-        Player(POLICY if ref is refs[0] else ref.label, _drivers(program, ref, is_symmetric=is_symmetric))
-        for ref in refs
+        Player(
+            label if labels.count(label) == 1 else str(ref.shown_path),
+            _drivers(program, ref, is_symmetric=is_symmetric),
+        )
+        for label, ref in zip(labels, refs, strict=True)
     ]
 
 

@@ -151,6 +151,12 @@ def test_players_of_equal_agents_take_both_sides(trained: Path) -> None:
     assert match.mean_seconds == pytest.approx(steps * 0.032 / 10)
 
 
+def test_policies_of_runs_with_one_name_are_different_players(trained: Path, tmp_path: Path) -> None:
+    copies = [shutil.copytree(trained, tmp_path / folder / "run") for folder in ("a", "b")]
+    table = play_matches([trained, *copies], episodes=1)
+    assert table.rows == ("policy", *map(str, copies), "lean", "random")
+
+
 @pytest.mark.slow
 def test_agents_with_rewards_of_their_own_play_their_own_side(trained: Path, tmp_path: Path) -> None:
     text = SHARED.replace(

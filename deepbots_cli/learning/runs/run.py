@@ -409,6 +409,11 @@ class ModelRef:
         """The label, such as `cartpole-0-1` for the best model, and `cartpole-0-1 (last)` for another one."""
         return self.run.path.name if self.name == "best" else f"{self.run.path.name} ({self.name})"
 
+    @property
+    def shown_path(self) -> Path:
+        """The path that names the model: that of the run for the best model, else that of the file."""
+        return self.run.path if self.name == "best" else self.path
+
 
 def _check_plain(run: Path) -> None:
     """Refuse links and pipes: a run may come from someone else, resuming writes, and opening a pipe waits for
