@@ -255,7 +255,7 @@ class TrainingEvidence:
 
     @property
     def has_failed(self) -> bool:
-        return self.failure is not None or self.run.record.status == "failed"
+        return self.run.record.status == "failed"
 
     @property
     def probes(self) -> list[Trace]:
@@ -602,7 +602,8 @@ def read_training(run: Run) -> TrainingEvidence:
     Raises:
         RunError: A log is damaged.
     """
-    file = latest_failure(run.path)
+    # Evaluations and worlds of a batch that go on keep failed episodes, too.
+    file = latest_failure(run.path) if run.record.status == "failed" else None
     failure = read_failure(file)[0] if file is not None else None
     episodes, evaluations = logs_of(run.path)
     running = run.record.state(run.path) == "training"

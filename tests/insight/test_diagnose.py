@@ -167,6 +167,14 @@ def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys)
     assert "deepbots diagnose" in capsys.readouterr().err
 
 
+def test_a_training_that_went_on_after_a_lost_episode_did_not_stop_with_an_error(short, tmp_path):
+    run = shutil.copytree(short, tmp_path / "run")
+    failure = {"error": "not stable", "step": 0, "episode": 1, "case": None, "stage": None, "start": 0}
+    (run / "failures").mkdir()
+    (run / "failures" / "0001.json").write_text(json.dumps({**failure, "actions": []}))
+    assert causes_of(read_training(Run.open(run))) == causes_of(read_training(Run.open(short)))
+
+
 @pytest.mark.slow
 def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes(tmp_path):
     overrides = [
