@@ -123,7 +123,7 @@ def _copy_folder(folder: Path, into: Path, remarks: list[str]) -> None:
             if (Path(place) / name).is_symlink():
                 folders.remove(name)
                 remarks.append(f"{name} is a symbolic link, which is not followed")
-        for name in sorted(names):
+        for name in sorted(name for name in names if not name.startswith(".")):
             source = Path(place) / name
             if source.is_symlink():
                 remarks.append(f"{name} is a symbolic link, which is not followed")

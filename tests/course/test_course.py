@@ -322,6 +322,13 @@ def test_a_zip_with_a_folder_around_and_a_link(lesson: Lesson, tmp_path: Path) -
     )
 
 
+def test_the_hidden_files_of_a_folder_get_no_remark(lesson: Lesson, tmp_path: Path) -> None:
+    put(tmp_path / "ada", mend=STEP % "1")
+    (tmp_path / "ada" / ".DS_Store").touch()
+    (tmp_path / "into").mkdir()
+    assert collect(tmp_path / "ada", tmp_path / "into", lesson)[1] == ()
+
+
 @given(st.binary(max_size=300))
 def test_a_damaged_zip_is_refused_or_opened(
     lesson: Lesson, tmp_path_factory: pytest.TempPathFactory, data: bytes
