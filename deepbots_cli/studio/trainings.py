@@ -120,8 +120,8 @@ class WatchedTraining:
         return (is_running or not self._ended) and time.monotonic() >= self._due
 
     def time_left(self, others: Iterable[ListedRun]) -> str:
-        """Return the longest time to go at the present speed, and the usual one if others of these runs
-        solved the scenario; empty while it is unknown."""
+        """Return the longest time to go at the present speed, and the usual one if a confirmation showed
+        when others of these runs had solved the scenario; empty while it is unknown."""
         run, steps = self.listed, self._steps
         if run is None or run.state != "training" or not run.total_timesteps or len(steps) < 2:
             return ""
@@ -131,7 +131,10 @@ class WatchedTraining:
         per_step = (end - begin) / (last - first)
         longest = f"at most {duration(max(0.0, (run.total_timesteps - last) * per_step))} to go"
         solved = [
-            other.solved_after or 0 for other in others if other.solved and other.scenario == run.scenario
+            member.solved_after
+            for other in others
+            for member in (other.runs or [other])
+            if member.solved_after and member.scenario == run.scenario
         ]
         usual = median(solved) - last if solved else 0.0
         return f"{longest}, usually {duration(usual * per_step)}" if usual > 0 else longest

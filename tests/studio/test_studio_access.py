@@ -62,7 +62,7 @@ from deepbots_cli.studio.files import OpenFile, TextEdit, difference, edited
 from deepbots_cli.studio.layout import Notices
 from deepbots_cli.studio.server import Guarded
 from deepbots_cli.studio.session import Session
-from deepbots_cli.studio.trainings import comparison_chart, result_text, training_chart
+from deepbots_cli.studio.trainings import WatchedTraining, comparison_chart, result_text, training_chart
 from deepbots_cli.view.server import LOOPBACK, Gate, listening_socket
 from deepbots_cli.view.training_logs import TrainingLog
 
@@ -483,6 +483,20 @@ def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
         bar.update(20)
         log.flush()
         assert task.activity == "evaluating, 20 of 100 episodes"
+
+
+def test_the_usual_time_to_go_is_that_of_the_runs_whose_solution_was_confirmed(tmp_path):
+    training = WatchedTraining(tmp_path / "now")
+    training.listed = ListedRun(training.path, "training", scenario="A", total_timesteps=100_000)
+    training._steps = ((0.0, 0), (10.0, 10_000))
+    solved = [
+        ListedRun(tmp_path / str(steps), "finished", scenario="A", solved=True, solved_after=steps)
+        for steps in (None, 40_000)
+    ]
+    group = replace(solved[0], path=tmp_path / "group", runs=(solved[1],))
+    for others in (solved, [solved[0], group]):
+        assert training.time_left(others) == "at most 1:30 min to go, usually 30 s"
+    assert training.time_left(solved[:1]) == "at most 1:30 min to go"
 
 
 # The studio itself
