@@ -488,13 +488,14 @@ class _VariantCompiler:
                     span.source is finding.span.source and span.start <= finding.span.start <= span.end
                     for span in entry_spans
                 )
-                also, help = finding.labels, finding.help
+                also, help, fix = finding.labels, finding.help, finding.fix
                 if not inside:
+                    fix = None  # it could make the scenario itself wrong
                     also = (*also, Label(name_span, f"with the settings of the {word} `{name}`"))
                     if name_span.source is not self._document.source:
                         removed = ".".join(map(str, path))
                         help = f"{help or 'change it'}; or leave this {word} out: `remove: [{removed}]`"
-                self._values.findings.append(replace(finding, labels=also, help=help))
+                self._values.findings.append(replace(finding, labels=also, help=help, fix=fix))
         return (
             checked.program
             if checked.program is not None

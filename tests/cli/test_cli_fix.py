@@ -253,6 +253,15 @@ def test_a_mistake_hidden_by_a_misspelling_is_reported_after_its_fix(deepbots, s
     assert "DB503[dimension-mismatch]: a speed (m/s) is combined with `track`, a length (m)" in ran.out
 
 
+def test_a_mistake_in_a_case_alone_leaves_the_scenario_as_it_is(deepbots, scenario):
+    values = "{parameters: {fall_angle: 10 deg, wheel_speed: 5 rad/s, trakc: 1 m}}"
+    text = f"{CARTPOLE}\nevaluation: {{cases: {{other: {{set: {values}}}}}}}\n"
+    path = scenario(text)
+    ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=1)
+    assert "unknown name `track`" in ran.out
+    assert path.read_text() == text
+
+
 GUESSES = [
     ("reward: {alive: abs(x) < track}", "reward: {alive: 1 when abs(x) < track}"),
     (
