@@ -426,6 +426,11 @@ class Overrides:
         if not shapes and link != change.path[-1]:
             return model  # a pattern means the links that have a shape
         density = self.namespace.fields.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
+        # A mass that an earlier pattern lets an episode draw would replace that of the density.
+        variations = self.namespace.fields.variations
+        variations[:] = [
+            drawn for drawn in variations if (drawn.what, drawn.of) != ("mass", OfLink(self.robot, link))
+        ]
         return (
             self._accepted(model, with_density(model, link, density), change, "density") if density else model
         )

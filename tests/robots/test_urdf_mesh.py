@@ -715,6 +715,14 @@ def test_a_link_of_a_scenario_takes_its_mass_from_its_density(tmp_path: Path) ->
     assert rolls["dense"] == [pytest.approx(row, abs=1e-3) for row in rolls["written"]]
 
 
+def test_a_density_replaces_a_random_mass_of_an_earlier_pattern(tmp_path: Path) -> None:
+    links = '{"*": {mass: urdf * uniform(0.9 .. 1.1)}, pole: {density: 700 kg/m^3}}'
+    text = SCENARIO.replace("urdf: ../robots/urdf/cartpole.urdf", f"urdf: cartpole\n    links: {links}")
+    (tmp_path / "a.yaml").write_text(text, encoding="utf-8")
+    drawn = {varied.of[-1] for varied in api.compile(tmp_path / "a.yaml").program.reset.variations}
+    assert ("body" in drawn, "pole" in drawn) == (True, False)
+
+
 @pytest.mark.parametrize(
     ("says", "code", "words"),
     [
