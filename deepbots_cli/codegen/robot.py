@@ -250,11 +250,10 @@ def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
 def controller_names(scenario: Program) -> dict[str, str]:
     """Return the class name of each robot: neither that of a base class, as for `robot`, nor that of another
     robot, as for `arm_1` and `arm1`."""
-    taken = {"RobotController", "BatchController"}
     names: dict[str, str] = {}
     for robot in scenario.robots:
+        taken = {"RobotController", "BatchController", *names.values()}
         names[robot.name] = unused_name(f"{class_name(robot.name)}Controller", taken)
-        taken.add(names[robot.name])
     return names
 
 

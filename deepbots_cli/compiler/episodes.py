@@ -722,8 +722,8 @@ def success_help(
     if agent is not None:
         limit = f"max_time: {{limit: 20 s, success: {agent}}}"
         return (
-            f"name `{agent}` under `success` of an ending, or of a limit as in `{limit}`; or require a return:"
-            f" `{instead}`"
+            f"name `{agent}` under `success` of an ending, or of a limit as in `{limit}`; or require a"
+            f" return: `{instead}`"
         )
     steps = limits.max_steps
     seconds = min(limits.max_time or inf, inf if steps is None else steps * timestep)

@@ -427,9 +427,10 @@ class Overrides:
             return model  # a pattern means the links that have a shape
         density = self.namespace.fields.fixed(change, "density", scope=self._scope(), known=Known.EPISODE)
         # A mass that an earlier pattern lets an episode draw would replace that of the density.
-        variations = self.namespace.fields.variations
-        variations[:] = [
-            drawn for drawn in variations if (drawn.what, drawn.of) != ("mass", OfLink(self.robot, link))
+        self.namespace.fields.variations[:] = [
+            drawn
+            for drawn in self.namespace.fields.variations
+            if (drawn.what, drawn.of) != ("mass", OfLink(self.robot, link))
         ]
         return (
             self._accepted(model, with_density(model, link, density), change, "density") if density else model
