@@ -205,8 +205,6 @@ class DefinitionAnalysis:
         match node:
             case Name(name, component):
                 sensor = next((sensor for sensor in self._robots[robot].sensors if sensor.name == name), None)
-                if sensor is None and name in self._defined:
-                    return node
                 if sensor is not None and (
                     (self._is_ideal and sensor.world_function is not None and sensor.mount == Pose())
                     or sensor.is_direct

@@ -802,6 +802,20 @@ def test_rules_follow_a_signal_or_an_ending_that_has_the_name_of_the_noisy_senso
     assert workshop.codes(rail(noisy, *changes.items())) == [code]
 
 
+def test_a_command_is_judged_by_the_value_that_the_robot_receives_and_not_by_the_signal_of_its_name(
+    workshop, rail
+) -> None:
+    text = rail(
+        ("reward:", "signals: {aim: 100 * drive}\nreward:"),
+        (
+            "apply: {motor: drive * cart_speed}",
+            "receive: {aim: 0.01 * aim}\n    apply: {motor: aim * cart_speed}",
+        ),
+        ("max_torque: 10 N", "max_torque: 10 N, max_velocity: 1 m/s"),
+    )
+    assert api.lint(workshop.write(text), preview=True) == []
+
+
 CART = "    sensors:"
 
 
