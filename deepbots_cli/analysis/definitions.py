@@ -95,14 +95,17 @@ class DefinitionAnalysis:
         self._defined |= {
             f"{link.receiver}.{value.name}": (value, "") for link in program.links for value in link.values
         }
-        routes = [(robot.name, robot.from_route, robot.emit) for robot in program.robots]
-        routes += [(link.receiver, link.route, link.values) for link in program.links]
-        self.imperfect_routes: Mapping[str, Route] = {
-            f"{owner}.{value.name}": route
-            for owner, route, values in routes
-            for value in values
-            if not self._is_ideal and not (route.perfect and program.timing == "immediate")
+        routes = {
+            f"{robot.name}.{value.name}": robot.from_route
+            for robot in program.robots
+            for value in robot.emit
+            if not (robot.from_route.perfect and program.timing == "immediate")
         }
+        # From robot to robot, even a perfect channel takes a timestep.
+        routes |= {
+            f"{link.receiver}.{value.name}": link.route for link in program.links for value in link.values
+        }
+        self.imperfect_routes: Mapping[str, Route] = {} if self._is_ideal else routes
         """The route of each value in a message that may be late or lost; none in the ideal analysis."""
         if program.agent.goal is not None:
             self._defined |= {

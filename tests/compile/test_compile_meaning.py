@@ -816,6 +816,15 @@ def test_a_command_is_judged_by_the_value_that_the_robot_receives_and_not_by_the
     assert api.lint(workshop.write(text), preview=True) == []
 
 
+def test_a_value_heard_from_another_robot_is_not_its_value_of_this_timestep(workshop, cartpole) -> None:
+    rival = "{urdf: cartpole, pose: {y: 0.3 m, z: 0.04 m}, sensors: {lean: {type: joint_position, joint: pole_hinge}}}"
+    text = cartpole(
+        ("robots:\n  cart:\n", f"robots:\n  rival: {rival}\n  cart:\n    hear: {{other: rival.lean}}\n"),
+        ("alive: 1", "alive: 1\n  change: abs(rival.lean - cart.other) / rad"),
+    )
+    assert workshop.codes(text) == []
+
+
 CART = "    sensors:"
 
 
