@@ -220,11 +220,6 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
             )
 
 
-def _of_supervisor(analysis: Analysis, name: str) -> Expression | None:
-    """Return the definition of a name; None of a value of a message, whose own names are those of a robot."""
-    return None if "." in name else analysis.expression_named(name)
-
-
 def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
     """Return whether an expression is 0, or has a factor 0, as a number or as a parameter."""
 
@@ -235,7 +230,8 @@ def _is_turned_off(node: TypedNode, analysis: Analysis) -> bool:
         case Constant(values=values):
             return not any(values)
         case Reference(symbol=symbol):
-            definition = _of_supervisor(analysis, symbol.name)
+            # The names in the definition of a value of a message are those of a robot.
+            definition = None if "." in symbol.name else analysis.expression_named(symbol.name)
             return (symbol.value is not None and not any(symbol.value)) or (
                 definition is not None and is_off(definition.typed)
             )
@@ -281,7 +277,7 @@ def _is_conditional(node: TypedNode, analysis: Analysis, met: set[str]) -> bool:
         return True
     if isinstance(node, Reference) and node.symbol.name not in met:
         met.add(node.symbol.name)
-        definition = _of_supervisor(analysis, node.symbol.name)
+        definition = analysis.expression_named(node.symbol.name)
         return definition is not None and (
             definition.foreign is not None or _is_conditional(definition.typed, analysis, met)
         )
