@@ -486,6 +486,17 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
     assert json.loads(deepbots("resume", group, "--json").out)["training"]["skipped"] == [0, 2]
 
 
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        ("train cartpole --seeds 0,1 --view", "--view shows a single run; leave out --seeds"),
+        ("transfer run --log log.mcap --seed 1", "with the simulation of one run; leave out --seed"),
+    ],
+)
+def test_an_option_without_an_effect_is_refused(deepbots: Deepbots, arguments: str, reason: str) -> None:
+    assert reason in deepbots(*arguments.split(), code=2).err
+
+
 @pytest.mark.parametrize("verb", ["eval", "compare"])
 def test_a_damaged_run_and_one_of_a_newer_version_are_refused_in_one_sentence(
     deepbots, trained, tmp_path, verb

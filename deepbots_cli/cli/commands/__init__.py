@@ -161,10 +161,10 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
         "--interface --domain": "--zmq --websocket; belongs to ROS 2",
         "--log --seconds --trusted": "--as-robot; belongs to the policy",
     },
-    "train": {"--seed": "--seeds"},
+    "train": {"--seed": "--seeds", "--view": "--seeds; shows a single run"},
     "transfer": {
-        "--log": "--engine --scenario --set --min-success --min-return; compares a log with the simulation of one"
-        " run"
+        "--log": "--engine --scenario --set --min-success --min-return --episodes --quick --seed --workers"
+        " --cluster; compares a log with the simulation of one run"
     },
 }
 """The options, by command and for all commands, that exclude others, and after a semicolon what they do."""
