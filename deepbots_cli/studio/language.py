@@ -102,25 +102,35 @@ class Language:
 
     def findings(self, path: Path) -> tuple[EditorFinding, ...]:
         """Return the findings of the last analysis of a file, errors first."""
-        findings = (*self._findings.get(path, ()), *self._of_robots(path))
+        findings = (*self._findings.get(path, ()), *self._of_other_files(path))
         return tuple(sorted(findings, key=lambda row: (row.severity != "error", row.start)))
 
-    def _of_robots(self, path: Path) -> Iterator[EditorFinding]:
-        """Yield the findings in the robot files of a scenario, at the line that names the file."""
+    def _of_other_files(self, path: Path) -> Iterator[EditorFinding]:
+        """Yield the findings in other files that a scenario reads, at the line that names the file, else at
+        its first line."""
         if (analysis := self._analysis(path)) is None:
             return
+        text = analysis.document.text
         for finding in analysis.findings:
-            name, line = Path(finding.span.source.name).name, finding.span.start_position.line
-            named = re.compile(rf"(?m)^[^#\n]*{re.escape(name)}") if name.endswith(".urdf") else None
-            if named is not None and (match := named.search(analysis.document.text)):
-                number, row = analysis.document.text.count("\n", 0, match.start()), match[0]
-                yield EditorFinding(
-                    (number, len(row) - len(row.lstrip())),
-                    (number, len(row)),
-                    finding.severity,
-                    finding.code,
-                    f"{name}, line {line}: {finding.headline}\nhelp: {finding.help}",
-                )
+            source, line = finding.span.source, finding.span.start_position.line
+            if analysis.path(source) == path:
+                continue
+            name = Path(source.name).name
+            lines = [
+                span.start_position.line - 1
+                for span in source.inclusion_chain
+                if analysis.path(span.source) == path
+            ]
+            named = re.finditer(rf"(?m)^[^#\n]*{re.escape(name)}", text)
+            number = [*lines, *(text.count("\n", 0, match.start()) for match in named), 0][0]
+            row = text.split("\n")[number].partition("#")[0].rstrip()
+            yield EditorFinding(
+                (number, len(row) - len(row.lstrip())),
+                (number, len(row)),
+                finding.severity,
+                finding.code,
+                f"{name}, line {line}: {finding.headline}\nhelp: {finding.help}",
+            )
 
     def checked_revision(self, path: Path) -> int:
         """Return the revision of the file that its last analysis read; 0 before the first one."""

@@ -952,3 +952,21 @@ def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder
             assert found[0].message.startswith("own.urdf, line ")
 
     asyncio.run(run())
+
+
+def test_an_error_in_a_base_or_in_a_robot_of_xacro_is_listed_where_the_scenario_names_the_file(folder):
+    robot = robot_path("balancer").read_text("utf-8").replace("</robot>", '<link name="lost"/></robot>')
+    (folder / "own.urdf.xacro").write_text(robot, encoding="utf-8")
+    (folder / "robot.yaml").write_text(SCENARIO.replace("urdf: cartpole", "urdf: own.urdf.xacro"))
+    (folder / "derived.yaml").write_text("deepbots: 1\nextends: cartpole\nremove: [augment.speed]\n")
+
+    async def run() -> None:
+        async with Running(folder) as running:
+            for name, line in (("robot.yaml", "urdf: own.urdf.xacro"), ("derived.yaml", "extends: cartpole")):
+                file = running.session.open(Path(name))
+                await running.checked(file.path)
+                assert running.session.language.has_errors(file.path)
+                found = running.session.language.findings(file.path)[0]
+                assert (found.severity, file.text.splitlines()[found.start[0]].strip()) == ("error", line)
+
+    asyncio.run(run())
