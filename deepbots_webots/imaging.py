@@ -114,7 +114,9 @@ class Camera(_Optics):
         return max(number(self._spec.node, "near"), 1e-3)
 
     def getImage(self) -> bytes | None:
-        """Return the picture; None before the first one."""
+        """Return the picture; None before the first step, and a black one until the first measurement."""
+        if self._picture is None and self._simulation.ticks > self.due - self.period:
+            return bytes(4 * self._size[0] * self._size[1])
         if self._picture is None:
             return None
         opaque = np.full((*self._picture.shape[:2], 1), 255, np.uint8)

@@ -97,7 +97,7 @@ def texts(node: Node, field: str) -> list[str]:
 
 
 def numbers(node: Node, field: str) -> list[float]:
-    return [item for item in value_of(node, field).items if isinstance(item, float)]
+    return [float(item) for item in value_of(node, field).items if isinstance(item, float | bool)]
 
 
 def vector(node: Node, field: str) -> Triple:
@@ -164,12 +164,12 @@ def walk(nodes: list[Node]) -> Iterator[Node]:
 
 # From forward, left, up, the axes of PROTOs, cameras and lidars, to right, up, back.
 LOOKING_TURN: Quaternion = (-0.5, 0.5, 0.5, 0.5)
-# From those of geometries along z, which were along y, and of devices along x, which were along z.
-_STANDING_TURN: Quaternion = (-0.5, -0.5, -0.5, 0.5)
+# From those of geometries along z, which were along y, and of devices along x, which were along z; of cars too.
+STANDING_TURN: Quaternion = (-0.5, -0.5, -0.5, 0.5)
 _OLD_TURNS: Mapping[str, Quaternion] = {
     **dict.fromkeys(("Camera", "RangeFinder", "Lidar", "Radar", "Viewpoint"), LOOKING_TURN),
-    **dict.fromkeys(("Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid"), _STANDING_TURN),
-    **dict.fromkeys(("Emitter", "Receiver", "Connector", "TouchSensor"), _STANDING_TURN),
+    **dict.fromkeys(("Cylinder", "Capsule", "Cone", "Plane", "ElevationGrid"), STANDING_TURN),
+    **dict.fromkeys(("Emitter", "Receiver", "Connector", "TouchSensor"), STANDING_TURN),
 }
 
 
@@ -249,7 +249,8 @@ _KINDS: Mapping[str, _Kind] = {
     "String": _Kind(_TEXT, 1, "a text in quotes", "of texts in quotes"),
     "Node": _Kind(frozenset({Node, type(None)}), 1, "a node", "of nodes"),
     "Float": _Kind(_NUMBER, 1, "a number", "of numbers"),
-    "Int32": _Kind(_NUMBER, 1, "a whole number", "of whole numbers"),
+    # Recognition.occlusion was TRUE or FALSE before R2021b.
+    "Int32": _Kind(_NUMBER | _BOOL, 1, "a whole number", "of whole numbers"),
     "Vec2f": _Kind(_NUMBER, 2, "two numbers", "of pairs of numbers"),
     "Vec3f": _Kind(_NUMBER, 3, "three numbers", "of numbers, three each"),
     "Color": _Kind(_NUMBER, 3, "three numbers", "of numbers, three each"),

@@ -441,6 +441,9 @@ class Physics:
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
 
+    def joint_velocity(self, joint: Joint) -> float:
+        return float(self.data.qvel[self.model.jnt_dofadr[self._joint_ids[joint]]])
+
     def cast(
         self, start: Triple, directions: Sequence[Triple] | Floats, reach: float, robot: Robot | None = None
     ) -> list[tuple[float, int, float]]:

@@ -31,7 +31,18 @@ from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
-from deepbots_webots.nodes import boolean, check, node_types, number, numbers, text, type_problem
+from deepbots_webots.nodes import (
+    LOOKING_TURN,
+    STANDING_TURN,
+    boolean,
+    check,
+    children,
+    node_types,
+    number,
+    numbers,
+    text,
+    type_problem,
+)
 from deepbots_webots.syntax import (
     MAX_BYTES,
     MAX_NODES,
@@ -54,6 +65,7 @@ from deepbots_webots.syntax import (
 if TYPE_CHECKING:
     from jinja2 import Environment, Template
 
+    from deepbots_cli.frames import Quaternion
     from deepbots_webots.scene import Robot
 
 _LIBRARY_FOLDER = "projects/"  # of Webots, with its PROTOs; addresses of its library contain it
@@ -277,10 +289,12 @@ class Equivalent(Proto):
             "number": number,
             "is_true": boolean,
             "word": text,
-            "numbers": _sizes,
+            "numbers": numbers,
             "positive": _positive,
+            "tire_radius": _tire_radius,
         }
-        return self.template.render({name: partial(read, node) for name, read in readers.items()})
+        functions = {name: partial(read, node) for name, read in readers.items()}
+        return self.template.render(functions, has_old_axes=node.has_old_axes)
 
 
 def _sizes(node: Node, name: str) -> list[float]:
@@ -296,6 +310,19 @@ def _positive(node: Node, name: str) -> list[float]:
     values = _sizes(node, name)
     is_positive = all(0 < value < 1e4 for value in values)
     return values if is_positive else numbers(replace(node, fields={}), name)
+
+
+def _tire_radius(node: Node, name: str) -> float:
+    """Return the radius of a wheel, or -1 as Webots does where it has none."""
+    wheel = next(iter(children(node, name)), None)
+    has_radius = wheel is not None and "tireRadius" in {**wheel.fields, **wheel.interface}
+    return number(wheel, "tireRadius") if wheel is not None and has_radius else -1.0
+
+
+def _turn_of(proto: Proto) -> Quaternion:
+    """Return the rotation from the axes of R2022a to those that a PROTO had before."""
+    is_vehicle = proto.name in ("AckermannVehicle", "Car") or proto.name in _alike("car")
+    return STANDING_TURN if is_vehicle else LOOKING_TURN
 
 
 @cache
@@ -370,7 +397,7 @@ def pit_heights(
 # The standard deviation of the noise of Webots' pit, three octaves of draws in -1 .. 1.
 _PIT_ROUGHNESS = 0.094
 LIBRARY = Path(__file__).parent / "library"
-PATTERNS = ("appearance", "arm", "crate", "lidar", "outline", "pipe")
+PATTERNS = ("appearance", "arm", "car", "crate", "lidar", "outline", "pipe")
 _MISSING = re.compile(r"field \w+ (\w+) .*# not implemented")
 
 
@@ -450,7 +477,8 @@ class Expander:
                 node.interface = proto.interface
                 node.body = self._body(node, proto)
                 if node.body is not None:
-                    node.body.is_turned = node.has_old_axes and not node.body.has_old_axes
+                    if not node.body.has_old_axes:
+                        node.body.turn = node.turn or (_turn_of(proto) if node.has_old_axes else None)
                     inside = proto.document or scope
                     inner = [self._expand(node.body, inside, slot, (*outer, proto), level)]
         return Extent(
@@ -519,11 +547,13 @@ class Expander:
     def _check_fields(self, node: Node, proto: Proto) -> None:
         for name, value in list(node.fields.items()):  # a copy: fields are deleted on the way
             entry = proto.interface.get(name)
-            if entry is None:
+            is_outline = node.type in _alike("outline") and isinstance(proto, Equivalent)
+            if is_outline and (entry is None or (value.alias == "" and type_problem(entry.type, value))):
+                self.findings.warning(node.span, f"{node.type} is a plain box, cylinder or ball here")
+                del node.fields[name]
+            elif entry is None:
                 hint = partial(did_you_mean, name, proto.interface, "it is ignored")
-                if node.type in _alike("outline") and isinstance(proto, Equivalent):
-                    self.findings.warning(node.span, f"{node.type} is a plain box, cylinder or ball here")
-                elif not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
+                if not name.rpartition("_")[2].isdigit():  # hidden fields of the saved state of a joint
                     self.findings.warning(value.span, f"{node.type} has no field '{name[:60]}'", hint)
                 del node.fields[name]
             elif value.alias == "" and (problem := type_problem(entry.type, value)):

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from deepbots_webots.scene import Robot
 
 SITE = Path(__file__).parent / "site"
-"""The folder with the module `controller`."""
+"""The folder with the modules `controller` and `vehicle`."""
 MAX_STEPS_AFTER_END = 100
 """The number of steps that a controller may make after the end; a further step ends the controller."""
 CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
@@ -249,7 +249,7 @@ class Runner:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - modules_before:
                 # The next run imports the module anew: it belongs to another simulation.
-                if module.partition(".")[0] == "controller":
+                if module.partition(".")[0] in ("controller", "vehicle"):
                     del sys.modules[module]
             if main is not None:
                 sys.modules["__main__"] = main

@@ -21,7 +21,6 @@ from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Inertial, Pose, combined
 from deepbots_webots.nodes import (
-    LOOKING_TURN,
     boolean,
     child,
     children,
@@ -358,7 +357,7 @@ def remove_node(scene: Scene, node: Node) -> None:
 class _Site:
     """Where a node is: the body around it, its frame there, its scale, its robot and its solid.
 
-    `is_turned` says that the axes are those of R2022a, around nodes of an older file.
+    `turn` is the rotation from the axes here, those of R2022a, to those of an older file around them.
     """
 
     body: Body | None
@@ -366,7 +365,7 @@ class _Site:
     scale: Triple
     robot: Robot | None
     solid: Node | None = None
-    is_turned: bool = False
+    turn: Quaternion | None = None
 
     def inside(self, node: Node, frame: Frame | None = None) -> _Site:
         """Return the site of what is in a node at a frame of this one, or at this one."""
@@ -375,11 +374,19 @@ class _Site:
             site = replace(
                 self, frame=compose(self.frame, frame, self.scale), scale=_scaled(self.scale, node)
             )
-        return site.turned(LOOKING_TURN, is_turned=True) if node.is_turned else site
+        if node.turn is None:
+            return site
+        return replace(site._rotated(node.turn), turn=node.turn)
 
-    def turned(self, turn: Quaternion, *, is_turned: bool) -> _Site:
+    def of(self, node: Node) -> _Site:
+        """Return the site in the axes of a node, which may be those of an older file."""
+        if self.turn is None or not node.has_old_axes:
+            return self
+        return replace(self._rotated(frames.inverse(self.turn)), turn=None)
+
+    def _rotated(self, turn: Quaternion) -> _Site:
         frame, scale = _turned(self.frame, self.scale, turn)
-        return replace(self, frame=frame, scale=scale, is_turned=is_turned)
+        return replace(self, frame=frame, scale=scale)
 
 
 class _Builder:
@@ -424,8 +431,7 @@ class _Builder:
 
     def add(self, node: Node, site: _Site) -> None:
         """Add a node and what is in it."""
-        if site.is_turned and node.has_old_axes:
-            site = site.turned(frames.inverse(LOOKING_TURN), is_turned=False)
+        site = site.of(node)
         node_as_written, node = node, real(node)
         if is_a(node, "Solid"):
             self._add_solid(node_as_written, node, site)
@@ -479,7 +485,7 @@ class _Builder:
             body = self._body(node, None, frame, robot)
             body.is_free = child(node, "physics") is not None
             frame = ORIGIN
-        self._fill(node, body, _Site(body, frame, scale, robot, node, site.is_turned))
+        self._fill(node, body, _Site(body, frame, scale, robot, node, site.turn))
 
     def _robot(self, node_as_written: Node, node: Node, site: _Site) -> Robot | None:
         if node.type != "Robot":
@@ -507,17 +513,17 @@ class _Builder:
         """Add the bounding object, the physics, the device and the children of a solid to its body."""
         self.scene.attachments[node] = body, site.frame
         site = site.inside(node)
-        frame = site.frame
         if node.type in DEVICES:
-            self._add_device(node, body, compose(frame, ((0.0, 0.0, 0.0), turn_of(node))), site.robot)
+            self._add_device(node, body, compose(site.frame, ((0.0, 0.0, 0.0), turn_of(node))), site.robot)
         first = len(body.geometries)
         bounding = next(iter(children(node, "boundingObject")), None)
         if bounding is not None:
             self._link(bounding, node)
-            self._add_geometry(bounding, body, frame, site.scale, node)
+            outer = site.of(bounding)
+            self._add_geometry(bounding, body, outer.frame, outer.scale, node)
         physics = child(node, "physics")
         if physics is not None and physics.type == "Physics":
-            self._add_mass(node, physics, body, frame, body.geometries[first:])
+            self._add_mass(node, physics, body, site.of(physics).frame, body.geometries[first:])
         self._add_children(node, site)
 
     # Geometries and masses
@@ -614,7 +620,7 @@ class _Builder:
             return
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
-        self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.is_turned))
+        self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.turn))
 
     def close_loops(self) -> None:
         """Find the solids that joints name as their end points, once all solids are known."""

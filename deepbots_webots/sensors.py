@@ -64,6 +64,7 @@ MISSING: Mapping[str, str] = {
     "Radar": "enable disable getSamplingPeriod getMinRange getMaxRange getHorizontalFov getVerticalFov"
     " getNumberOfTargets getTargets",
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",
+    "Car": "enableIndicatorAutoDisabling enableLimitedSlipDifferential getBackwardsLights getBrakeLights",
 }
 """The functions of each class that deepbots does not have."""
 

@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 from deepbots_cli.diagnostics import Source, Span
 from deepbots_cli.diagnostics.nearest import nearest_word
 from deepbots_cli.errors import DeepbotsError
+from deepbots_cli.frames import Quaternion
 from deepbots_cli.records import dataclass
 
 # Findings
@@ -168,7 +169,8 @@ class Node:
     """The fields of the PROTO, if this is a PROTO node."""
     is_internal: bool = False  # part of the body of a PROTO
     has_old_axes: bool = False  # of a file of a release before R2022a
-    is_turned: bool = False  # what is in it has the axes of R2022a, in a file that has the old ones
+    turn: Quaternion | None = None
+    """The rotation from the axes of what is in it, those of R2022a, to those of its file, the old ones."""
 
     def __repr__(self) -> str:
         return f"Node({self.type!r}, {self.name!r})"

@@ -212,13 +212,13 @@ def test_a_scenario_needs_z_upward(tmp_path):
 
 @pytest.mark.parametrize("release", [OLD, NEW])
 def test_all_protos_of_the_library_move_finitely_in_the_axes_of_their_file(release: str):
-    places = (f"{10 * at} 1 0" if release == OLD else f"{10 * at} 0 1" for at in itertools.count())
+    places = (f"{60 * at} 1 0" if release == OLD else f"{60 * at} 0 1" for at in itertools.count())
     protos = [f"{name} {{ translation {next(places)} }}" for name in sorted(equivalents())]
     simulation = simulate("\n".join([FLOOR, *protos]), release)
     run(simulation, 0.8)  # 100 steps, each of which checks that all velocities are finite
     robots = [body for body in simulation.scene.bodies if body.robot is not None and body.parent is None]
     heights = [simulation.physics.position(body)[1 if release == OLD else 2] for body in robots]
-    assert len(robots) == 13
+    assert len(robots) == 24
     assert min(heights) > -0.01
 
 

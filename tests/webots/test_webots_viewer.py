@@ -600,6 +600,8 @@ def test_a_camera_has_no_picture_before_its_first_measurement():
     assert camera.getImage() is None
     assert camera.getImageArray() is None
     assert camera.getWidth() == 64
+    camera._simulation.run_step()  # of 8 ms
+    assert camera.getImage() == bytes(4 * 64 * 64)
 
 
 @needs_opengl
