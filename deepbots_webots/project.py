@@ -313,10 +313,11 @@ def _positive(node: Node, name: str) -> list[float]:
 
 
 def _tire_radius(node: Node, name: str) -> float:
-    """Return the radius of a wheel, or -1 as Webots does where it has none."""
-    wheel = next(iter(children(node, name)), None)
-    has_radius = wheel is not None and "tireRadius" in {**wheel.fields, **wheel.interface}
-    return number(wheel, "tireRadius") if wheel is not None and has_radius else -1.0
+    """Return the radius of a wheel, or that of a VehicleWheel where it has none."""
+    has_radius = [
+        wheel for wheel in children(node, name) if "tireRadius" in {**wheel.fields, **wheel.interface}
+    ]
+    return number(has_radius[0], "tireRadius") if has_radius else 0.4
 
 
 def _turn_of(proto: Proto) -> Quaternion:

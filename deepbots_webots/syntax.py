@@ -169,8 +169,9 @@ class Node:
     """The fields of the PROTO, if this is a PROTO node."""
     is_internal: bool = False  # part of the body of a PROTO
     has_old_axes: bool = False  # of a file of a release before R2022a
-    turn: Quaternion | None = None
-    """The rotation from the axes of what is in it, those of R2022a, to those of its file, the old ones."""
+    turn: Quaternion | None = (
+        None  # from the axes of what is in it, those of R2022a, to the old ones of its file
+    )
 
     def __repr__(self) -> str:
         return f"Node({self.type!r}, {self.name!r})"

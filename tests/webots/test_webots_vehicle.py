@@ -53,7 +53,9 @@ def test_a_car_cruises_on_a_circle_around_the_point_of_its_wheels(make: str, axe
     last = place(car, axes)
     # The radius of the circle through three points; positive angles turn right.
     sides = math.dist(first, middle), math.dist(middle, last), math.dist(first, last)
-    double_area = (middle[0] - first[0]) * (last[1] - first[1]) - (middle[1] - first[1]) * (last[0] - first[0])
+    double_area = (middle[0] - first[0]) * (last[1] - first[1]) - (middle[1] - first[1]) * (
+        last[0] - first[0]
+    )
     radius = -math.prod(sides) / (2 * double_area)
     assert radius == pytest.approx(car.getWheelbase() / math.tan(0.2), rel=0.03)
 
@@ -120,7 +122,9 @@ def test_lamps_and_wipers_keep_what_a_driver_asks_for():
 
 
 def test_a_driver_of_another_robot_is_an_error_that_names_it():
-    with pytest.raises(RuntimeError, match="'e-puck' is no car; Driver and Car need a robot of the PROTO Car"):
+    with pytest.raises(
+        RuntimeError, match="'e-puck' is no car; Driver and Car need a robot of the PROTO Car"
+    ):
         driver("E-puck { }")
 
 
