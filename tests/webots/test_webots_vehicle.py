@@ -129,20 +129,21 @@ def test_a_driver_of_another_robot_is_an_error_that_names_it():
 
 
 def test_a_car_of_an_older_file_looks_along_z_with_its_sensors():
-    """Before R2022a, cars drive along z, and their slots turn a camera, which looks along -z, forward."""
-    text = """#VRML_SIM R2021b utf8
-    WorldInfo { coordinateSystem "NUE" } BmwX5 { translation 0 0.4 0
-      sensorsSlotFront [ DistanceSensor { lookupTable [ 0 0 0, 20 20 0 ] } ] sensorsSlotRear [ GPS { } ] }
-    Solid { translation 0 0.5 10 boundingObject Box { size 4 4 1 } }"""
-    world = read(text)
+    """Before R2022a, cars drive along z, and their slots turn a camera, which looks along -z, away from the car."""
+    slots = (
+        'sensorsSlot{0} [ GPS {{ name "{0}" translation 0 0 -1 }} ]'.format(end) for end in ("Front", "Rear")
+    )
+    world = read(
+        f"""#VRML_SIM R2021b utf8
+        WorldInfo {{ coordinateSystem "NUE" }} BmwX5 {{ translation 0 0.4 0 {" ".join(slots)} }}"""
+    )
     simulation = Simulation(build_scene(world), world.span)
-    rear, front = device(simulation, "gps"), device(simulation, "distance sensor")
+    front, rear = device(simulation, "Front"), device(simulation, "Rear")
+    front.enable(32)
     rear.enable(32)
     simulation.run_step()
-    assert rear.getValues() == pytest.approx([0, 0.7, -1], abs=0.05)
-    assert simulation.physics.position(front._spec.body, front._spec.frame) == pytest.approx(
-        (0, 0.85, 3.85), abs=0.05
-    )
+    assert front.getValues() == pytest.approx([0, 0.85, 4.85], abs=0.01)
+    assert rear.getValues() == pytest.approx([0, 0.7, -2], abs=0.01)
 
 
 def test_worlds_of_cities_load_with_plain_signs_and_buildings():
