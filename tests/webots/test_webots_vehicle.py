@@ -130,9 +130,7 @@ def test_a_driver_of_another_robot_is_an_error_that_names_it():
 
 def test_a_car_of_an_older_file_looks_along_z_with_its_sensors():
     """Before R2022a, cars drive along z, and their slots turn a camera, which looks along -z, away from the car."""
-    slots = (
-        'sensorsSlot{0} [ GPS {{ name "{0}" translation 0 0 -1 }} ]'.format(end) for end in ("Front", "Rear")
-    )
+    slots = (f'sensorsSlot{end} [ GPS {{ name "{end}" translation 0 0 -1 }} ]' for end in ("Front", "Rear"))
     world = read(
         f"""#VRML_SIM R2021b utf8
         WorldInfo {{ coordinateSystem "NUE" }} BmwX5 {{ translation 0 0.4 0 {" ".join(slots)} }}"""
