@@ -844,11 +844,20 @@ class _Checker:
         if ends := [value for param, value in bound if param.form is Form.RANGE]:
             low, high = ends
             with suppress(StopChecking):
-                _require_rising(TypedRange(low, high, low.start, high.end), self._report)
+                typed = TypedRange(low, high, low.start, high.end)
+                _require_rising(typed, self._report)
+                if function.name == "integer" and not _contains_whole(low.type.interval, high.type.interval):
+                    headline = "a range without a whole number"
+                    self._fault("DB105", typed, headline, "write whole numbers as its ends")
         if function.family is Family.DRAW and function.params[0].form is Form.SPREAD:
             deviation = values[1]
             if any(interval.high < 0.0 for interval in _intervals(deviation)):
                 self._fault("DB105", deviation, "a standard deviation below 0", "write it without the sign")
+
+
+def _contains_whole(low: Interval, high: Interval) -> bool:
+    """Return whether a whole number can lie between two ends, which rounding may have moved."""
+    return math.ceil(low.low - 1e-9) <= high.high + 1e-9
 
 
 def _columns_of(value: TypedNode) -> Components | None:
