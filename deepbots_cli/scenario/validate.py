@@ -374,7 +374,9 @@ def _merge_outdented_entries(
         fitting = (
             (section[-1], spaces)
             for section, spaces in _sections_above(path, holder, following[0].key)
-            if section not in at_fault and _fits(data, path, section, moved, errors)
+            if section not in at_fault
+            and (_is_key(data, section, str(name)) or not _is_key(data, path, str(name)))
+            and _fits(data, path, section, moved, errors)
         )
         section_above = next(fitting, None) if moved else None
         if section_above is None:
@@ -385,6 +387,12 @@ def _merge_outdented_entries(
             *(each for each in problems if not (_is_below(each, path) and each.path[len(path)] in names)),
         ]
     return problems
+
+
+def _is_key(data: Any, path: Sequence[str | int], name: str) -> bool:
+    """Return whether a name is a key of the language at a path, and not one that a user may choose there."""
+    section = shape_at(Scenario, data, tuple(path))
+    return isinstance(section, type) and name in section.model_fields
 
 
 def _is_below(problem: _Problem, path: Sequence[str | int]) -> bool:
