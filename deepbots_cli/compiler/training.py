@@ -245,7 +245,8 @@ class _LevelsReader(NamespaceReader):
                 "DB105",
                 text.span,
                 f"`start` is {text.text}, which is not a level",
-                f"write a level from 0 to {self._levels.levels - 1}, or a range such as `0 .. 2`",
+                f"write a level from 0 to {self._levels.levels - 1}, or a range such as"
+                f" `0 .. {self._levels.levels - 1}`",
             )
             return None
         return int(low), int(high)
