@@ -322,14 +322,7 @@ def compare(
         "build": build,
     }
     calls = [
-        _Evaluation(
-            ref,
-            options
-            | {
-                "scenario": None if world.own else judged,
-                "engine": ref.run.record.engine if scenario is None else None,
-            },
-        )
+        _Evaluation(ref, options | {"scenario": None if world.own else judged, "engine": world.engine})
         for group, world in zip(members, worlds, strict=True)
         for ref in group.models
     ]
@@ -362,10 +355,11 @@ def compare(
 
 
 class _World(NamedTuple):
-    """Whether a group is evaluated in its own scenario, and how this scenario differs from that of the
-    evaluation and from that of the first group."""
+    """Whether a group is evaluated in its own scenario, in which engine, and how its scenario differs from
+    that of the evaluation and from that of the first group. The engine is None if the scenario chooses it."""
 
     own: bool
+    engine: str | None
     meanings: Meanings
     trainings: Meanings
     same_criterion: bool
@@ -385,7 +379,11 @@ def _world(judged: Compiled, first: Run, run: Run, *, own: bool, named: bool) ->
     same = asked == other and not (trainings.success or differing)
     # All returns in a named scenario are of its reward.
     return _World(
-        own or (bool(meanings.acting) and not named), meanings, Meanings() if named else trainings, same
+        own or (bool(meanings.acting) and not named),
+        None if named else run.record.engine,
+        meanings,
+        Meanings() if named else trainings,
+        same,
     )
 
 

@@ -281,6 +281,15 @@ class _Request:
             for name in self.engines
         ]
 
+    def planned(self, run: Run, seed: int | None, scenarios: Sequence[Compiled | None]) -> list[int]:
+        """Return the number of episodes in each engine."""
+        from deepbots_cli.learning.evaluation import planned_episodes
+
+        return [
+            planned_episodes(run, self.options["episodes"], seed, judged, self.case, self.stage, engine=name)
+            for name, judged in zip(self.engines, scenarios, strict=True)
+        ]
+
     def write(self, results: Sequence[EvaluationResult], groups: Sequence[GroupResult] = ()) -> None:
         """Write each episode as CSV, and for LaTeX each evaluation and the statistics of groups over seeds."""
         if self.csv is not None:
@@ -319,12 +328,8 @@ def _evaluate_run(
         gates.check(program)
         program.variant(case, stage)
     with terminal.transient_line("loading the policy ..."):
-        from deepbots_cli.learning.evaluation import planned_episodes
+        planned = request.planned(run, seed, scenarios)
         from deepbots_cli.runtime.spaces import FORWARD_BATCH_SIZE
-    planned = [
-        planned_episodes(run, request.options["episodes"], seed, judged, case, stage, engine=name)
-        for name, judged in zip(request.engines, scenarios, strict=True)
-    ]
     parts = math.ceil(max(planned) / FORWARD_BATCH_SIZE)
     reason = f"up to {FORWARD_BATCH_SIZE} episodes run on one worker; choose more with --episodes N"
     arguments.check_dividable(request.workers, request.address, parts, reason)
@@ -335,22 +340,10 @@ def _evaluate_run(
             # Engines are compared on the same starts, so that each of several plays all episodes.
             until = gates.stop_condition(program.variant(case, stage), count) if len(scenarios) == 1 else None
             first = evaluations[0].result if evaluations else None
-            further_options = {
-                "seed": seed if first is None else first.seed,
-                "model": ref.name,
-                "scenario": judged,
-                "engine": name,
-            }
+            options = {"seed": seed, "model": ref.name, "scenario": judged, "engine": name}
             try:
                 evaluation = _evaluate_in_engine(
-                    request,
-                    run,
-                    further_options,
-                    until,
-                    executor,
-                    first,
-                    baselines=baselines,
-                    details=details,
+                    request, run, options, until, executor, first, baselines=baselines, details=details
                 )
             except KeyboardInterrupt:
                 if not evaluations:
@@ -401,7 +394,9 @@ def _evaluate_in_engine(
     judged = further_options["scenario"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     options = {**request.options, **further_options}
-    episodes = options["episodes"] if first is None else first.episodes
+    episodes = options["episodes"]
+    if first is not None:
+        options["seed"], episodes = first.seed, first.episodes
     with terminal.progress(unit, always=False) as show_episode:
         result = learning.evaluate(
             run,
