@@ -374,19 +374,17 @@ class _Site:
             site = replace(
                 self, frame=compose(self.frame, frame, self.scale), scale=_scaled(self.scale, node)
             )
-        if node.turn is None:
-            return site
-        return replace(site._rotated(node.turn), turn=node.turn)
+        return site if node.turn is None else site._turned(node.turn, node.turn)
 
     def of(self, node: Node) -> _Site:
         """Return the site in the axes of a node, which may be those of an older file."""
         if self.turn is None or not node.has_old_axes:
             return self
-        return replace(self._rotated(frames.inverse(self.turn)), turn=None)
+        return self._turned(frames.inverse(self.turn), None)
 
-    def _rotated(self, turn: Quaternion) -> _Site:
-        frame, scale = _turned(self.frame, self.scale, turn)
-        return replace(self, frame=frame, scale=scale)
+    def _turned(self, rotation: Quaternion, turn: Quaternion | None) -> _Site:
+        frame, scale = _turned(self.frame, self.scale, rotation)
+        return replace(self, frame=frame, scale=scale, turn=turn)
 
 
 class _Builder:
