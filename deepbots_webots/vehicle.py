@@ -68,7 +68,7 @@ class _Vehicle:
             for side, sign in (("right", -1), ("left", 1))
         ]
         self.driven = [wheel for wheel in self.wheels if wheel.motor is not None]
-        self.drive = 2 if len(self.driven) == 4 else int(self.wheels[0].motor is None)
+        self.drive = 2 if len(self.driven) == 4 else self.wheels.index(self.driven[0]) // 2
         self.angle = self.speed = self.throttle = self.brake = 0.0
         self.mode, self.gear = -1, 0
 
