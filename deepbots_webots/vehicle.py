@@ -37,7 +37,7 @@ class _Wheel(NamedTuple):
     @property
     def speed(self) -> float:
         """The speed, rad/s."""
-        return self.brake._simulation.physics.joint_velocity(self.brake._spec.joint)
+        return float(self.brake._simulation.physics.joint_velocity(self.brake._spec.joint))
 
 
 class _Vehicle:
