@@ -1123,6 +1123,16 @@ def test_each_field_of_an_equivalent_has_an_effect_or_is_named_as_missing(name: 
             "IBLStrength",
         ),
         *("type", "tileSize", "floorTileSize", "wallTileSize", "wallAppearance", "wallColor"),
+        *(
+            "subdivision",
+            "curvatureFactor",
+            "edgeSubdivision",
+            "tireAppearance",
+            "rimAppearance",
+            "rimRadius",
+        ),
+        *("rimBeamNumber", "rimBeamWidth", "rimBeamThickness", "rimBeamOffset", "wheelSide", "engineSound"),
+        *("centralInnerRadius", "centralOuterRadius"),
     }
 
 
