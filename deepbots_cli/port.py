@@ -477,8 +477,12 @@ class BatchEngine(Bindable, Protocol):
     def step(self, substeps: int, running: NDArray[np.bool_] | None = None) -> None:
         """Advance all worlds, or only those that are `running`."""
 
+    def begin(self, worlds: Sequence[int]) -> None:
+        """Reset some worlds together. The next reset of their members does nothing, and a step of a member
+        waits for `begin_episodes`."""
+
     def begin_episodes(self) -> None:
-        """Take over the episodes that members have begun."""
+        """Take over the episodes that members have begun, and let those of `begin` settle together."""
 
     def non_finite_worlds(self) -> NDArray[np.intp]:
         """Return the numbers of the worlds whose state is not finite."""

@@ -277,12 +277,29 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
     ) -> None:
         """Let some worlds begin episodes, each with a seed of its own or going on with its streams, and with
         the `options` of its reset."""
-        for world, seed, world_options in zip(worlds, seeds, options or [None] * len(worlds), strict=True):
-            single = self.singles[world]
-            self.histories.starts[world] = single.random_state() if seed is None else seed
+        options = options or [None] * len(worlds)
+        for world, seed, world_options in zip(worlds, seeds, options, strict=True):
+            self.histories.starts[world] = self.singles[world].random_state() if seed is None else seed
             self.histories.options[world] = world_options
-            single.begin_episode(seed, world_options)
+        self._begin_singles(worlds, seeds, options)
         self.histories.begin(worlds)
+
+    def _begin_singles(
+        self,
+        worlds: Sequence[int],
+        starts: Sequence[int | dict[str, Any] | None],
+        options: Sequence[Mapping[str, Any] | None],
+    ) -> None:
+        """Begin episodes of single worlds, each with a seed, with states of its random generators or going on
+        with its streams; they settle together. Take over their start."""
+        self.engine.begin(worlds)
+        for world, start, world_options in zip(worlds, starts, options, strict=True):
+            if isinstance(start, dict):
+                self.singles[world].set_random_state(start)
+            self.singles[world].place_world(None if isinstance(start, dict) else start, world_options)
+        self.engine.begin_episodes()
+        for world in worlds:
+            self.singles[world].observe_start()
         self._take_over_from(worlds)
 
     def restore(
@@ -314,14 +331,9 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         self.histories.actions = []
         for step in range(last + 1):
             begun = [world for world, episode in enumerate(episodes) if step == last - len(episode.actions)]
-            for start, world_options, single in (
-                (episodes[world].start, episodes[world].options, self.singles[world]) for world in begun
-            ):
-                if isinstance(start, dict):
-                    single.set_random_state(start)
-                single.begin_episode(None if isinstance(start, dict) else start, world_options)
             if begun:
-                self._take_over_from(begun)
+                starts = [episodes[world].start for world in begun]
+                self._begin_singles(begun, starts, [episodes[world].options for world in begun])
                 on_begin(begun)
             if step < last:
                 indices = [step - last + len(episode.actions) for episode in episodes]
@@ -339,7 +351,6 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
 
     def _take_over_from(self, worlds: Sequence[int]) -> None:
         """Take over the start of an episode from single worlds."""
-        self.engine.begin_episodes()
         rows = list(self.rows.of(worlds))
         for part in (self, *self.controllers.values()):
             part.take_over(rows)

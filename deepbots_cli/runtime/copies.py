@@ -152,6 +152,7 @@ class BatchOfCopies:
         self.capabilities = engine.capabilities
         self.gravity = engine.gravity
         self.members = engine.members
+        self.begin = engine.begin
         self.begin_episodes = engine.begin_episodes
         self.non_finite_worlds = engine.non_finite_worlds
         self.close = engine.close

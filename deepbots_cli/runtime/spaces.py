@@ -306,8 +306,8 @@ class ObservedFrames:
 
     def fill_frames(self) -> None:
         """Let every frame be as the newest, which is in place 0: before an episode there was nothing else."""
-        width = len(self.agent.numbers)
-        self.frames.reshape(self.depth, width)[1:] = self.frames[:width]
+        if self.depth > 1:
+            self.frames.reshape(self.depth, -1)[1:] = self.frames[: len(self.agent.numbers)]
         for stack in self.frame_stacks.values():
             stack.frames[1:] = stack.frames[0]
 

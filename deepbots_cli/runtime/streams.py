@@ -13,7 +13,7 @@ import hashlib
 import math
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
-from typing import Any, Self, TypeVar, cast
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -77,12 +77,12 @@ class Streams:
 
     def take(self, name: str, value: T) -> T:
         """Note a draw, and return what was chosen in its place, or else the random value."""
-        return self.note(self.key(name), value)
+        return self.note(self.key(name) if self.member else name, value)
 
     def note(self, key: str, value: T) -> T:
         """Take a draw by its key; see `take`."""
-        draw = self.drawn[key] = self.chosen.get(key, value)
-        return cast("T", draw)
+        value = self.drawn[key] = self.chosen.get(key, value)
+        return value
 
     def __getitem__(self, name: str) -> np.random.Generator:
         generator = self._generators.get(name)

@@ -380,11 +380,12 @@ class Supervisor(
             UsageError: `options` contains an unknown name, or a value that the episode cannot draw. The
                 running episode continues.
         """
-        self.begin_episode(seed, options)
+        self.place_world(seed, options)
+        self.observe_start()
         return self.get_observations(), {**self.get_info(), "drawn": self.drawn()}
 
-    def begin_episode(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
-        """Begin an episode as `reset` does, whose results a batch does not need."""
+    def place_world(self, seed: int | None, options: Mapping[str, Any] | None) -> None:
+        """Draw and place the start of an episode; the first half of `reset`."""
         if self._closed:
             raise UsageError(_CLOSED)
         values = self.require_drawable(options) if options else None
@@ -400,6 +401,12 @@ class Supervisor(
         try:
             self._begin()
             self.note_draws()
+        except (ArithmeticError, ValueError, NameError) as error:
+            raise without_value(error, self.engine, self.step_count) from error
+
+    def observe_start(self) -> None:
+        """Take the first readings of an episode; the second half of `reset`."""
+        try:
             self.begin_robots(self.streams)
             self._start()
             self.fill_frames()

@@ -33,7 +33,7 @@ from deepbots_cli.engines.mujoco.motors import (
     Pushes,
     TrackingMotor,
 )
-from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS
+from deepbots_cli.engines.mujoco.state import FULL_STATE, VARIED_ARRAYS, StateRow, place_body, put_joint
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import EngineProxy
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from deepbots_cli.frames import Frame, Triple
-    from deepbots_cli.port import Engine, Gain, MotorWriter, P, Part, PoseReader, Pusher, R
+    from deepbots_cli.port import Engine, Gain, JointReader, MotorWriter, P, Part, PoseReader, Pusher, R
     from deepbots_cli.program.world import WorldModel
 
     Column = NDArray[Any]
@@ -78,10 +78,36 @@ class BatchMember(EngineProxy):
         return self._batch.attach(self._index, changes=True)
 
     def reset(self) -> None:
-        self._batch.begin(self._index)
+        if self._index in self._batch.beginning:
+            self._batch.beginning.discard(self._index)
+        else:
+            self._batch.reset([self._index])
 
     def step(self, substeps: int) -> None:
-        self._batch.step(substeps, np.arange(self._batch.count) == self._index)
+        if self._batch.settling is None:
+            self._batch.step(substeps, np.arange(self._batch.count) == self._index)
+        else:
+            self._batch.settling[self._index] = substeps
+
+    def place(self, body: str, *args: Any, **kwargs: Any) -> None:
+        pool = self._batch.single.pool(body)
+        if pool.pooled:
+            super().place(body, *args, **kwargs)
+        else:
+            place_body(self._batch.row(self._index, changes=True), pool.current, *args, **kwargs)
+
+    def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
+        places = self._batch.single.joint_places(robot, joint)
+        put_joint(self._batch.row(self._index, changes=True), places, position, velocity)
+
+    def joint_states(self, robot: str, joints: Sequence[str]) -> JointReader:
+        places = [self._batch.single.joint_places(robot, joint)[0] for joint in joints]
+
+        def read() -> list[tuple[float, float]]:
+            positions, velocities = self._batch.row(self._index)[:2]
+            return [(float(positions[at]), float(velocities[dof])) for at, dof, _ in places]
+
+        return read
 
     def snapshot(self) -> object:
         raise EngineError("a world of a batch has no snapshots; repeat its episode")
@@ -90,25 +116,19 @@ class BatchMember(EngineProxy):
         self.snapshot()
 
     def pose(self, body: str, link: str | None = None) -> PoseReader:
-        """Read the pose of a free body from its row of the batch, unless the shared engine has this world: 1
-        us instead of 8."""
-        read_attached: PoseReader = super().pose(body, link)
-        batch = self._batch
-        index = self._index
+        """Read the pose of a free body from its row of the batch: 1 us instead of 8."""
         form_and_link = self._batch.form_and_link(body, link)
         if (
             form_and_link is None
             or form_and_link[1] != form_and_link[0].root_id
             or form_and_link[0].position_index < 0
         ):
+            read_attached: PoseReader = super().pose(body, link)
             return read_attached
         at = form_and_link[0].position_index
 
         def read_free() -> Frame:
-            # The shared engine may have changes that the row lacks until `_release`.
-            if batch.attached == index:
-                return read_attached()
-            px, py, pz, w, x, y, z = batch.qpos[index, at : at + 7].tolist()
+            px, py, pz, w, x, y, z = self._batch.row(self._index).qpos[at : at + 7].tolist()
             return (px, py, pz), (x, y, z, w)
 
         return read_free
@@ -180,6 +200,14 @@ class MuJoCoBatch(BatchReaders):
         with."""
         self.has_substep_callbacks = False
         """Whether members act in each substep."""
+        self._begun: set[int] = set()
+        """The worlds whose episode has begun since the shared engine last had their values."""
+        self.beginning: set[int] = set()
+        """The worlds that `begin` has reset, and their members not yet."""
+        self.settling: dict[int, int] | None = None
+        """The substeps for which members have settled since `begin`; None otherwise."""
+        self._restoring: set[int] = set()
+        """The worlds whose constants belong to masses of the episode before."""
         self._pushes: list[Pushes] = []
         """The pushes of all members, in the order in which each of them binds its pushers."""
         self.motors: dict[Any, BatchMotor] = {}
@@ -211,7 +239,7 @@ class MuJoCoBatch(BatchReaders):
         self.rows = {name: self._batch.expand(name) for name in fields}
         if before is None:
             mj.mj_getState(self._world.model, self._world.data, self.state[0], FULL_STATE)
-            self.state[1:] = self.state[0]
+            self.state[1:] = self._first_state = self.state[0].copy()
         else:
             self.state[:] = before.state
             for name, rows in fields.items():
@@ -219,6 +247,8 @@ class MuJoCoBatch(BatchReaders):
             if self._updated_armatures:
                 worlds = sorted(self._updated_armatures)
                 self._update_constants(worlds, np.array([self._updated_armatures[i] for i in worlds]))
+        parts = [self._batch.bind(name) for name in StateRow._fields]
+        self._state_rows = [StateRow(*row) for row in zip(*parts, strict=True)]
         for name in [
             *self._outputs,
             *["sensordata" for sensor in self._sensors if sensor.measures != "touch"][:1],
@@ -315,6 +345,11 @@ class MuJoCoBatch(BatchReaders):
     def take_commands(self) -> None:
         """Copy the changes of members to the worlds, and their commands to the motors."""
         self._write_back()
+        if worlds := sorted(self._restoring - self._stale):
+            self._batch.set_const(worlds)
+            for index in worlds:
+                del self._updated_armatures[index]
+        self._restoring.clear()
         if self.has_commands:
             self.has_commands = False
             for motor in self.motors.values():
@@ -335,38 +370,60 @@ class MuJoCoBatch(BatchReaders):
 
     # Episodes
 
-    def begin(self, index: int) -> None:
-        """Begin an episode of a world in the shared engine."""
+    def begin(self, worlds: Sequence[int]) -> None:
+        """See `BatchEngine.begin`."""
+        self.reset(worlds)
+        self.beginning = set(worlds)
+        self.settling = {}
+
+    def reset(self, worlds: Sequence[int]) -> None:
+        """Put worlds into the state in which they were built."""
         self._write_back()
-        self.single.reset()
-        self.attached = index
-        self._has_changes = True
-        for name, rows in self.rows.items():
-            rows[index] = self._nominal_fields[name]
-        if self._armature is not None:
-            self._armature[index] = self.nominal.dof_armature
-        if self._updated_armatures.pop(index, None) is not None:
-            self._batch.set_const([index])
-        self._stale.discard(index)
-        for motor in self.motors.values():
-            motor.begin(index)
-        for pushes in self._pushes:
-            pushes.begin(index)
-        self.touched[index] = False
-        self._force_means.reset(index)
+        rows = list(worlds)
+        self.state[rows] = self._first_state
+        for name, values in self.rows.items():
+            values[rows] = self._nominal_fields[name]
+        self._armature[rows] = self.nominal.dof_armature
+        self._begun.update(rows)
+        self._stale.difference_update(rows)
+        self._restoring.update(self._updated_armatures.keys() & rows)
+        for index in rows:
+            self._memories[index] = self._first_memory
+        parts: list[BatchMotor | Pushes] = [*self.motors.values(), *self._pushes]
+        for part in parts:
+            part.begin(rows)
+        self.touched[rows] = False
+        self._force_means.reset(rows)
         for output in self._outputs.values():
-            output[index] = 0.0
+            output[rows] = 0.0
 
     def begin_episodes(self) -> None:
-        """Take over the episodes that members have begun."""
+        """See `BatchEngine.begin_episodes`."""
+        settling, self.settling = self.settling, None
+        if settling:
+            goes = np.zeros(self.count, bool)
+            goes[list(settling)] = True
+            self.step(max(settling.values()), goes)  # all settle for the same time
         self.take_commands()
         self._forget()
 
+    def row(self, index: int, *, changes: bool = False) -> StateRow:
+        """Return the state of a world, to read it, or to write it for `changes`."""
+        if self.attached == index and (changes or self._has_changes):
+            self._write_back()
+        return self._state_rows[index]
+
     def attach(self, index: int, *, changes: bool = False) -> MuJoCoEngine:
         """Return the shared engine with a world as it is now."""
-        if self.attached != index:
+        begins = changes and index in self._begun
+        if begins or self.attached != index:
             self._write_back()
             world = self._world
+            if begins:
+                # Values that no row has, such as frictions of geoms, are those of another world.
+                self._begun.discard(index)
+                self.single.reset()
+                self._remembered = self._first_memory
             mj.mj_setState(world.model, world.data, self.state[index], FULL_STATE)
             changed = [*(self.rows.keys() - self._usual_rows)]
             if self._memories[index] != self._remembered:
@@ -392,7 +449,7 @@ class MuJoCoBatch(BatchReaders):
         if world.is_stale:
             if world.settle_values():
                 self._stale.add(index)
-            self._take_armature(index)
+            self._armature[index] = self.rows["dof_armature"][index] = world.armature
             for name in VARIED_FIELDS:
                 if name not in self.rows and not np.array_equal(
                     self._fields[name], self._nominal_fields[name]
@@ -403,15 +460,6 @@ class MuJoCoBatch(BatchReaders):
             self.rows[name][index] = self._fields[name]
         self._memories[index] = self._remembered = world.memory()
         self._forget()
-
-    def _take_armature(self, index: int) -> None:
-        """Copy the armature that an episode has set to its world."""
-        usual = self._world.armature
-        nominal = self.nominal.dof_armature
-        if self._armature is None and not np.array_equal(usual, nominal):
-            self._armature = np.tile(nominal, (self.count, 1))
-        if self._armature is not None:
-            self._armature[index] = self.rows["dof_armature"][index] = usual
 
     def _update_constants(self, worlds: list[int], armatures: Column) -> None:
         """Recompute the constants of the model that depend on the masses of these worlds, in ascending
@@ -435,49 +483,6 @@ class MuJoCoBatch(BatchReaders):
         return self._pushes[number]
 
     # Motors
-
-    def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> MotorWriter:
-        return self.motor("velocity", robot, joints, max_torque)
-
-    def torque_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        *,
-        stall_torque: Gain = None,
-        no_load_speed: Gain = None,
-    ) -> MotorWriter:
-        return self.motor(
-            "torque",
-            robot,
-            joints,
-            max_torque,
-            stall_torque=stall_torque,
-            no_load_speed=no_load_speed,
-        )
-
-    def position_motor(
-        self,
-        robot: str,
-        joints: Sequence[str],
-        max_torque: Sequence[float],
-        stiffness: Gain,
-        damping: Gain,
-        *,
-        stall_torque: Gain = None,
-        no_load_speed: Gain = None,
-    ) -> MotorWriter:
-        return self.motor(
-            "position",
-            robot,
-            joints,
-            max_torque,
-            stiffness,
-            damping,
-            stall_torque=stall_torque,
-            no_load_speed=no_load_speed,
-        )
 
     def motor(
         self,
@@ -517,6 +522,10 @@ class MuJoCoBatch(BatchReaders):
         if isinstance(bound, CurvedMotor) and curve is not None:
             bound.bind_curve(worlds, curve)
         return bound
+
+    velocity_motor = partialmethod(motor, "velocity")
+    torque_motor = partialmethod(motor, "torque")
+    position_motor = partialmethod(motor, "position")
 
 
 def _field(model: Any, name: str) -> Column:

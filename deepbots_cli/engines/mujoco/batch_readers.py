@@ -230,12 +230,12 @@ class BatchReaders(BatchState):
         work = count * (self.nominal.nv + self.nominal.npair // 2)
         self._threads = min(available_cores(), count, max(1, work // WORK_OF_A_THREAD))
         self._remembered = self._world.memory()
+        self._first_memory = self._remembered
         self._memories = [self._remembered] * count
         """The memory of the shared engine besides the state, for each world: the bodies that are present,
         colors, light."""
-        self._armature: Column | None = None
-        """The armature of each world without the part that velocity motors add, from the first episode on
-        that sets one."""
+        self._armature = np.tile(self.nominal.dof_armature, (count, 1))
+        """The armature of each world without the part that velocity motors add."""
         self._sensors: dict[Sensor, int] = {}
         """The sensors of the model by number, which is also their column in `touched`."""
         self.touched = np.zeros((count, 0), bool)
@@ -283,13 +283,9 @@ class BatchReaders(BatchState):
         return read
 
     def usual_armature(self, worlds: Any, dofs: Any) -> Column:
-        """Return the armature of these degrees of freedom without the part that velocity motors add: a row
-        per world of these, or one for all."""
-        usual: Column
-        if self._armature is None:
-            usual = self.nominal.dof_armature[dofs][None]
-            return usual
-        usual = self._armature[cells(worlds, dofs)]
+        """Return the armature of these degrees of freedom without the part that velocity motors add, a row
+        per world of these."""
+        usual: Column = self._armature[cells(worlds, dofs)]
         return usual
 
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:

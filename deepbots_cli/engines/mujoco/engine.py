@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from math import inf
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,12 +12,19 @@ from deepbots_cli.engines.mechanics import Pool, inverse_kinematics, named, torq
 from deepbots_cli.engines.mujoco import cameras, motors, sliding, surfaces
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import Body, ModelBuilder
-from deepbots_cli.engines.mujoco.state import LinkMotions, MujocoWorld, WorldSnapshot
+from deepbots_cli.engines.mujoco.state import (
+    LinkMotions,
+    MujocoWorld,
+    WorldSnapshot,
+    place_body,
+    put_joint,
+)
 from deepbots_cli.errors import EngineError
 from deepbots_cli.port import ZERO_VECTOR, Overlap
 from deepbots_cli.program.world import GROUND
 
 if TYPE_CHECKING:
+    from deepbots_cli.engines.mujoco.state import JointPlace
     from deepbots_cli.frames import Frame, Quaternion, Triple
     from deepbots_cli.port import (
         CameraReader,
@@ -58,6 +65,7 @@ class MuJoCoEngine:
         self._wrench_monitor: motors.WrenchMonitor | None = None
         self._substep_callbacks: list[Callable[[], object]] = []
         self._renderer = cameras.WorldRenderer(world, self._world)
+        self.joint_places = cache(self._joint_places)
         drawing: frozenset[Capability] = frozenset({"rendering"} if cameras.is_available() else ())
         self.capabilities: frozenset[Capability] = drawing | {
             *("contacts", "mimic", "snapshot"),
@@ -147,36 +155,27 @@ class MuJoCoEngine:
         velocity: Triple = ZERO_VECTOR,
         angular_velocity: Triple = ZERO_VECTOR,
     ) -> None:
-        data = self._world.data
-        form = self.pool(body).activate()
-        self._world.show(form)
-        rotation = x, y, z, w = frames.normalized(orientation)
-        if form.mocap_index >= 0:
-            data.mocap_pos[form.mocap_index] = position
-            data.mocap_quat[form.mocap_index] = (w, x, y, z)
-        elif form.position_index >= 0:
-            data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
-            # A free joint has its linear velocity in the world frame, its angular one in that of the link.
-            data.qvel[form.velocity_index : form.velocity_index + 6] = (
-                *velocity,
-                *frames.rotate_back(rotation, angular_velocity),
-            )
-            # The accelerations are those of the motion before.
-            data.qacc_warmstart[form.velocity_index : form.velocity_index + 6] = 0.0
+        pool = self.pool(body)
+        form = pool.activate()
+        if pool.pooled:
+            self._world.show(form)
+        place_body(self._world.data, form, position, orientation, velocity, angular_velocity)
         self._world.invalidate()
 
     def set_joint(self, robot: str, joint: str, position: float, velocity: float) -> None:
-        model = self._world.model
-        data = self._world.data
-        (number,) = self.joint_numbers(robot, (joint,))
-        data.qpos[model.jnt_qposadr[number]], data.qvel[model.jnt_dofadr[number]] = position, velocity
-        body = self.pool(robot).current
-        # A follower that stays behind would be pulled to its leader in the next step, with a jolt.
-        for follower, mimic in body.model.followers_of(joint).items():
-            number = body.joints[follower]
-            data.qpos[model.jnt_qposadr[number]] = mimic.position(position)
-            data.qvel[model.jnt_dofadr[number]] = mimic.multiplier * velocity
+        put_joint(self._world.require_open().data, self.joint_places(robot, joint), position, velocity)
         self._world.invalidate()
+
+    def _joint_places(self, robot: str, joint: str) -> list[JointPlace]:
+        """Return the places of a joint in the state, and of the joints that follow it."""
+        model = self._world.model
+        # A follower that stays behind would be pulled to its leader in the next step, with a jolt.
+        joints = {joint: None, **self.pool(robot).current.model.followers_of(joint)}
+        numbers = self.joint_numbers(robot, list(joints))
+        addresses = zip(
+            model.jnt_qposadr[[*numbers]], model.jnt_dofadr[[*numbers]], joints.values(), strict=True
+        )
+        return [(int(position), int(velocity), mimic) for position, velocity, mimic in addresses]
 
     def choose(self, body: str, variant: str) -> None:
         self.pool(body).choose(variant)

@@ -423,9 +423,9 @@ class Pushes:
         self._values = np.zeros((count, 6))
         self._frame = frame
 
-    def begin(self, world: int) -> None:
-        self.waits[world] = False
-        self._values[world] = 0.0
+    def begin(self, worlds: Sequence[int]) -> None:
+        self.waits[worlds] = False
+        self._values[worlds] = 0.0
 
     def give(self, world: int, link: int, force: Triple, torque: Triple) -> None:
         self.waits[world] = True
@@ -552,9 +552,9 @@ class BatchMotor:
     def renew(self, goes: Column) -> None:
         """Renew gains in those worlds that go on, before a substep."""
 
-    def begin(self, world: int) -> None:
-        """Begin an episode in a world."""
-        self._is_active[world] = self._is_given[world] = self.waits[world] = False
+    def begin(self, worlds: Sequence[int]) -> None:
+        """Begin an episode in some worlds."""
+        self._is_active[worlds] = self._is_given[worlds] = self.waits[worlds] = False
 
 
 class CurvedMotor(BatchMotor):

@@ -15,17 +15,23 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from deepbots_cli import frames
 from deepbots_cli.engines.mechanics import JointSpeed, Pool, fastest, named, require_possible
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.model import CONTACT_IMPEDANCE, SOLID_GROUP, Body, ModelBuilder
 from deepbots_cli.errors import EngineError
+from deepbots_cli.port import ZERO_VECTOR
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from deepbots_cli.frames import Quaternion, Triple
     from deepbots_cli.program.world import EngineParameter, WorldModel
+    from deepbots_cli.robots.model import Mimic
 
     FloatArray = NDArray[np.float64]
+    JointPlace = tuple[int, int, Mimic | None]
+    """The places of a joint in `qpos` and `qvel`, and how it follows the joint that is set; None for itself."""
 
 FULL_STATE = int(mj.mjtState.mjSTATE_INTEGRATION)
 VARIED_ARRAYS = (
@@ -88,6 +94,47 @@ class BatchState(ABC):
     @abstractmethod
     def usual_armature(self, worlds: Any, dofs: Any) -> NDArray[Any]:
         """Return the armature of these worlds without the part that velocity motors add."""
+
+
+class StateRow(NamedTuple):
+    """What `place_body` and `put_joint` write: arrays of `MjData`, or of one world of a batch."""
+
+    qpos: FloatArray
+    qvel: FloatArray
+    qacc_warmstart: FloatArray
+    mocap_pos: FloatArray
+    mocap_quat: FloatArray
+
+
+def place_body(
+    data: StateRow,
+    form: Body,
+    position: Triple,
+    orientation: Quaternion,
+    velocity: Triple = ZERO_VECTOR,
+    angular_velocity: Triple = ZERO_VECTOR,
+) -> None:
+    """Write the pose and the velocity of a body; see `Engine.place`."""
+    rotation = x, y, z, w = frames.normalized(orientation)
+    if form.mocap_index >= 0:
+        data.mocap_pos[form.mocap_index] = position
+        data.mocap_quat[form.mocap_index] = (w, x, y, z)
+    elif form.position_index >= 0:
+        data.qpos[form.position_index : form.position_index + 7] = (*position, w, x, y, z)
+        # A free joint has its linear velocity in the world frame, its angular one in that of the link.
+        data.qvel[form.velocity_index : form.velocity_index + 6] = (
+            *velocity,
+            *frames.rotate_back(rotation, angular_velocity),
+        )
+        # The accelerations are those of the motion before.
+        data.qacc_warmstart[form.velocity_index : form.velocity_index + 6] = 0.0
+
+
+def put_joint(data: StateRow, places: Sequence[JointPlace], position: float, velocity: float) -> None:
+    """Write the position and velocity of a joint, and those of the joints that follow it."""
+    for at, dof, mimic in places:
+        data.qpos[at] = position if mimic is None else mimic.position(position)
+        data.qvel[dof] = velocity if mimic is None else mimic.multiplier * velocity
 
 
 class WorldSnapshot(NamedTuple):
