@@ -354,12 +354,12 @@ class BatchSupervisor(BatchRobots, ObservedColumns, EpisodeEnds):
         rows = list(self.rows.of(worlds))
         for part in (self, *self.controllers.values()):
             part.take_over(rows)
-        for row in rows:
-            single = self._singles[row]
-            self.frames[:, :, row] = single.frames[: self.frames.shape[1]]
-            self.goal[:, row] = single.goal
-            if self.forbids_options:
-                self.options.load(row, single.allowed())
+        starts = [self._singles[row] for row in rows]
+        self.frames[:, :, rows] = np.array([start.frames[: self.frames.shape[1]] for start in starts]).T
+        self.goal[:, rows] = np.array([start.goal for start in starts]).T
+        if self.forbids_options:
+            for row, start in zip(rows, starts, strict=True):
+                self.options.load(row, start.allowed())
         counts = ("step_count", "timestep_count", "reward", "previous_reward", "episode_return")
         ends = ("terminated", "truncated")
         for name in (*counts, *ends, "is_success", "lost"):

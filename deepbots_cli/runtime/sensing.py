@@ -42,35 +42,38 @@ class Normals:
         self.drawn: Any = None
         """The newest block, before it is scaled."""
         self._rows: list[list[float]] = []
+        self.rows_left = 0
+        """The number of rows of the newest block that were not taken yet; they are taken from its end."""
         self._generator: Any = None
 
     def restart(self, generator: Any) -> None:
         """Draw from `generator` from now on, and discard samples that were drawn before."""
         self._generator = generator
         self._rows = []
+        self.rows_left = 0
 
     def scale(self, deviations: Values | float) -> None:
         """Multiply all further rows by one factor, or by one factor per sample. A block at once costs a tenth
         of row by row."""
         self._scale = deviations
-        if self._rows:
-            self._rows = (self.drawn[: len(self._rows)] * deviations).tolist()
+        self._rows = []
 
     def next_row(self) -> list[float]:
         if not self._rows:
-            self.drawn = self.block()
-            self._rows = (self.drawn * self._scale).tolist()
+            if not self.rows_left:
+                self.drawn = self.block()
+                self.rows_left = ROWS_PER_BLOCK
+                # A batch takes only the first row of an episode here.
+                self._rows = (self.drawn[-1:] * self._scale).tolist()
+            else:
+                self._rows = (self.drawn[: self.rows_left] * self._scale).tolist()
+        self.rows_left -= 1
         return self._rows.pop()
 
     def block(self) -> NDArray[np.float64]:
         """Draw the next block."""
         block: NDArray[np.float64] = self._generator.standard_normal((ROWS_PER_BLOCK, self._width))
         return block
-
-    @property
-    def rows_left(self) -> int:
-        """The number of rows of the newest block that were not taken yet; they are taken from its end."""
-        return len(self._rows)
 
 
 class SensorErrors:

@@ -78,9 +78,8 @@ class BatchMember(EngineProxy):
         return self._batch.attach(self._index, changes=True)
 
     def reset(self) -> None:
-        if self._index in self._batch.beginning:
-            self._batch.beginning.discard(self._index)
-        else:
+        # Attempts to find a start reset the world again.
+        if (self._batch.settling or {}).pop(self._index, 1):
             self._batch.reset([self._index])
 
     def step(self, substeps: int) -> None:
@@ -202,10 +201,9 @@ class MuJoCoBatch(BatchReaders):
         """Whether members act in each substep."""
         self._begun: set[int] = set()
         """The worlds whose episode has begun since the shared engine last had their values."""
-        self.beginning: set[int] = set()
-        """The worlds that `begin` has reset, and their members not yet."""
         self.settling: dict[int, int] | None = None
-        """The substeps for which members have settled since `begin`; None otherwise."""
+        """From `begin` to `begin_episodes`, the substeps for which members settle; 0 for worlds that are reset
+        and whose members have not called `reset` yet."""
         self._restoring: set[int] = set()
         """The worlds whose constants belong to masses of the episode before."""
         self._pushes: list[Pushes] = []
@@ -373,8 +371,7 @@ class MuJoCoBatch(BatchReaders):
     def begin(self, worlds: Sequence[int]) -> None:
         """See `BatchEngine.begin`."""
         self.reset(worlds)
-        self.beginning = set(worlds)
-        self.settling = {}
+        self.settling = dict.fromkeys(worlds, 0)
 
     def reset(self, worlds: Sequence[int]) -> None:
         """Put worlds into the state in which they were built."""
@@ -451,9 +448,7 @@ class MuJoCoBatch(BatchReaders):
                 self._stale.add(index)
             self._armature[index] = self.rows["dof_armature"][index] = world.armature
             for name in VARIED_FIELDS:
-                if name not in self.rows and not np.array_equal(
-                    self._fields[name], self._nominal_fields[name]
-                ):
+                if name not in self.rows and (self._fields[name] != self._nominal_fields[name]).any():
                     self.rows[name] = self._batch.expand(name)
             changed = [name for name in self.rows if name not in MOTOR_FIELDS]
         for name in changed:

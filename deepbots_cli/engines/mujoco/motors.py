@@ -488,7 +488,7 @@ class BatchMotor:
         """Return the motor of one world; commands are carried out before the world goes on."""
 
         def write(targets: Sequence[float]) -> None:
-            if any(rival._is_given[world] for rival in self.rivals):
+            if self.rivals and any(rival._is_given[world] for rival in self.rivals):
                 self._batch.take_commands()
             self._given[world] = targets
             self._is_given[world] = self._batch.has_commands = True
