@@ -407,8 +407,11 @@ class EngineProxy:
         return tuple(map(self._renamed, value))
 
     def _pass(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
-        renamed = {name: self._renamed(value) if name in _PARTS else value for name, value in kwargs.items()}
-        return getattr(self.engine, method)(*map(self._renamed, args[:parts]), *args[parts:], **renamed)
+        return getattr(self.engine, method)(
+            *map(self._renamed, args[:parts]),
+            *args[parts:],
+            **{name: self._renamed(value) if name in _PARTS else value for name, value in kwargs.items()},
+        )
 
     def _reader(self, method: str, parts: int, *args: Any, **kwargs: Any) -> Any:
         return self.bound(self._pass(method, parts, *args, **kwargs))
