@@ -1044,7 +1044,10 @@ def test_json_is_one_document_that_has_the_numbers_of_the_table(deepbots, traine
     words = DOCUMENTS[verb].split()
     if verb == "replay":
         deepbots("render", *DOCUMENTS["render"].split())
-    numbers = {95.0, *numbers_in(json.loads(deepbots(verb, *words, "--json", code=None).out))}  # 95 % intervals
+    numbers = {
+        95.0,
+        *numbers_in(json.loads(deepbots(verb, *words, "--json", code=None).out)),
+    }  # 95 % intervals
     shown = deepbots(verb, *words, code=None).out if verb in OF_TABLES else ""
     for number, decimals, percent in re.findall(r"(?<![\w.])(\d[\d,]*(?:\.(\d+))?)( ?%)?", shown):
         value, scales = float(number.replace(",", "")), (1, 100) if percent else (1,)
