@@ -68,6 +68,7 @@ def collect(path: Path, into: Path, lesson: Lesson) -> tuple[Path, tuple[str, ..
             raise HandInError("it is a symbolic link, which may lead to the work of another student")
         if not path.exists():
             raise HandInError("it does not exist")
+        path = _zip_inside(path)
         if path.is_dir():
             _copy_folder(path, into, remarks)
         elif path.is_file() and zipfile.is_zipfile(path):
@@ -82,6 +83,13 @@ def collect(path: Path, into: Path, lesson: Lesson) -> tuple[Path, tuple[str, ..
         raise HandInError(f"it cannot be read: {(error.strerror or type(error).__name__).lower()}") from None
     folder = _inner_folder(into, lesson)
     return folder, (*remarks, *_foreign_files(folder, lesson))
+
+
+def _zip_inside(path: Path) -> Path:
+    """Return the only entry of a folder if it is a zip, as learning platforms store a hand-in, else the path."""
+    inside = [entry for entry in path.iterdir() if not entry.name.startswith(".")] if path.is_dir() else []
+    is_zip = [entry.suffix.lower() == ".zip" and not entry.is_symlink() for entry in inside] == [True]
+    return inside[0] if is_zip else path
 
 
 def _inner_folder(folder: Path, lesson: Lesson) -> Path:

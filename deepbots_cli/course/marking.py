@@ -313,8 +313,6 @@ def guarded(step: Step, marks: Sequence[CheckMark]) -> tuple[CheckMark, ...]:
     if any(mark.points and not check.guard and check.kind != "answer" for check, mark in pairs):
         return tuple(marks)
     reason = "this is right, and counts once another check of this step earns points"
-    if any(check.kind == "policy" for check in step.checks):
-        reason += ": train longer, or change what the policy learns from"
     return tuple(
         replace(mark, points=0, reason=mark.reason or reason) if check.guard else mark
         for check, mark in pairs
@@ -422,6 +420,7 @@ class _Policy:
             HandInError: There is none, or it was trained in another way than the lesson asks for.
         """
         from deepbots_cli.course.evidence import unexplained
+        from deepbots_cli.learning.runs.episodes import read_evaluations
         from deepbots_cli.learning.runs.run import Run
 
         folder = self.marker.folder / "runs"
@@ -458,6 +457,11 @@ class _Policy:
         if source is not None and not self.marker.lesson.steps[self.name].teacher:
             raise HandInError(
                 f"{newest.name} learned from `{source}`, which this step does not allow; train it with {command}"
+            )
+        if not read_evaluations(run.path):
+            raise HandInError(
+                f"the training of {newest.name} has had no evaluation yet: wait for the first one, or go on with"
+                f" `deepbots resume {shell_word(f'runs/{newest.name}')}`"
             )
         if reason := unexplained(run):
             reason = f"the training of {newest.name} does not explain its policy: {reason}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import field, replace
@@ -117,6 +118,8 @@ def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
     for files in (lesson.folder / START, solved):
         shutil.copytree(files, folder, dirs_exist_ok=True)
     if text := lesson.text("text.md"):
+        # The pages of links such as `../04-endings/text.md` are not in the folder.
+        text = re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", text)
         (folder / "README.md").write_text(text, encoding="utf-8")
     for picture in (*lesson.folder.glob("*.png"), *lesson.folder.glob("*.svg")):
         shutil.copy(picture, folder)

@@ -188,9 +188,7 @@ class _Painter:
                 yield self.paint("frame", "...")
             previous = number
             shown = _Line(
-                source.line(number),
-                min(span.start_position.column for span, _, _ in marked[number]),
-                self.width - gutter - 3,
+                source.line(number), [span for span, _, _ in marked[number]], self.width - gutter - 3
             )
             yield f"{self.paint('frame', str(number).rjust(gutter))} {bar} {shown.text}".rstrip()
             for span, sign, text in marked[number]:
@@ -206,15 +204,18 @@ class _Painter:
 
 
 class _Line:
-    """A source line as it is shown: cropped around a column, with tabs and unsafe characters replaced."""
+    """A source line as it is shown: cropped around what is marked, with tabs and unsafe characters replaced."""
 
-    def __init__(self, line: str, column: int, width: int) -> None:
+    def __init__(self, line: str, marked: Sequence[Span], width: int) -> None:
         self.line = line
         self.first = 0
         # A line of a megabyte is not measured to its end for each finding.
         if len(line) > width or display_width(line) + 3 * line.count("\t") > width:
-            # The text before the place explains more than the text after it.
-            self.first = max(0, min(column - 1 - width // 2, len(line) - width))
+            begin = min(span.start_position.column for span in marked) - 1
+            end = max(map(self._end, marked))
+            # The text before the place explains more than the text after it. Dots take three columns.
+            self.first = max(begin - width // 2, min(end + 3 - width, begin))
+            self.first = max(0, min(self.first, len(line) + 3 - width))
         self.prefix = "… " if self.first else ""
         self.cells: list[str] = []
         room = width - len(self.prefix) - 1
@@ -233,12 +234,13 @@ class _Line:
 
     def marks(self, span: Span, sign: str) -> str:
         """Return the underline, at least one sign; it ends with the line if the span goes on."""
-        end = (
-            span.end_position.column - 1
-            if span.end_position.line == span.start_position.line
-            else len(self.line)
-        )
-        return sign * max(1, self._columns_to(end) - self._columns_to(span.start_position.column - 1))
+        columns = self._columns_to(self._end(span)) - self._columns_to(span.start_position.column - 1)
+        return sign * max(1, columns)
+
+    def _end(self, span: Span) -> int:
+        """Return the column behind a span in this line, from 0."""
+        goes_on = span.end_position.line > span.start_position.line
+        return len(self.line) if goes_on else span.end_position.column - 1
 
     def _columns_to(self, column: int) -> int:
         return sum(map(display_width, self.cells[: max(0, column - self.first)]))

@@ -159,6 +159,7 @@ def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
         _tab(problem)
         or _exclamation_mark(problem)
         or _bracket_behind_key(problem)
+        or _bracket_behind_colon(problem)
         or _quote(problem)
         or _brackets(problem)
         or _leading_sign(problem)
@@ -182,6 +183,18 @@ def _tab(problem: _Problem) -> Finding | None:
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
             return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
     return None
+
+
+def _bracket_behind_colon(problem: _Problem) -> Finding | None:
+    """Report `key:{a: 1}`, which lacks a space."""
+    key = re.search(r"[\w.]+$", problem.before)
+    signs = problem.source.text[problem.at : problem.at + 2]
+    if key is None or signs not in (":{", ":["):
+        return None
+    behind = Span(problem.source, problem.at + 1, problem.at + 1)
+    help = f"write a space behind the colon: `{key[0]}: {signs[1]}`"
+    fix = Fix((Edit(behind, " "),), safe=False)
+    return problem.finding(f"a space is missing before this `{signs[1]}`", help, problem.at + 1, fix=fix)
 
 
 def _exclamation_mark(problem: _Problem) -> Finding | None:

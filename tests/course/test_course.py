@@ -322,6 +322,15 @@ def test_a_zip_with_a_folder_around_and_a_link(lesson: Lesson, tmp_path: Path) -
     )
 
 
+def test_a_zip_in_a_folder_of_a_learning_platform_is_opened(lesson: Lesson, tmp_path: Path) -> None:
+    (tmp_path / "Ada_1234_file").mkdir()
+    with zipfile.ZipFile(tmp_path / "Ada_1234_file" / "lesson 1.ZIP", "w") as archive:
+        archive.writestr("lesson-1/mend.yaml", STEP % "1")
+    (tmp_path / "into").mkdir()
+    folder, remarks = collect(tmp_path / "Ada_1234_file", tmp_path / "into", lesson)
+    assert ((folder / "mend.yaml").read_text(), remarks) == (STEP % "1", ())
+
+
 def test_the_hidden_files_of_a_folder_get_no_remark(lesson: Lesson, tmp_path: Path) -> None:
     put(tmp_path / "ada", mend=STEP % "1")
     (tmp_path / "ada" / ".DS_Store").touch()
@@ -645,6 +654,14 @@ def test_a_teacher_earns_nothing_unless_the_lesson_allows_it(trained: Path, tmp_
     assert handed_in(trained, tmp_path / "helped", "helped", teacher="balance").points == 3
 
 
+def test_a_policy_that_was_not_evaluated_yet_is_not_accused(trained: Path, tmp_path: Path) -> None:
+    shutil.copytree(trained / "own", tmp_path / "own")
+    (tmp_path / "own" / "runs" / "drive-0-1" / "evaluations" / "training.jsonl").unlink()
+    mark = Marker(read_lesson(trained / "lesson"), tmp_path / "own", tmp_path / "work").mark("drive")
+    assert "has had no evaluation yet: wait for the first one, or go on with" in mark.checks[0].reason
+    assert not any("explain" in remark for remark in mark.remarks)
+
+
 def test_a_bar_within_the_interval_is_named_and_a_guard_says_what_is_right(
     trained: Path, tmp_path: Path
 ) -> None:
@@ -658,10 +675,7 @@ def test_a_bar_within_the_interval_is_named_and_a_guard_says_what_is_right(
     )  # an episode has 20 steps
     far = marked("far", "1e6")
     assert far.remarks == ()
-    assert far.checks[1].reason == (
-        "this is right, and counts once another check of this step earns points: train longer, or change what the"
-        " policy learns from"
-    )
+    assert far.checks[1].reason == "this is right, and counts once another check of this step earns points"
 
 
 def test_a_check_that_the_starter_passes_counts_only_beside_another_one(
@@ -792,6 +806,15 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     assert json.loads(deepbots("course", "hint", own, "--step", "mend", "--json").out)["number"] == 2
     assert "--step does not go with check" in deepbots("course", "check", own, "--step", "mend", code=2).err
     assert json.loads((own / "course.json").read_text())["points"] == 4
+
+
+def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
+    deepbots: Deepbots, tmp_path: Path
+) -> None:
+    deepbots("course", "start", "reward", tmp_path / "own")
+    text = (tmp_path / "own" / "README.md").read_text(encoding="utf-8")
+    assert "](.." not in text
+    assert "What is reinforcement learning?, explains" in text
 
 
 @pytest.mark.slow

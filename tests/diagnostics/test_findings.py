@@ -324,6 +324,14 @@ def test_a_long_line_is_cropped_around_the_place(before: int) -> None:
     assert lines[4].endswith("^^")
 
 
+@pytest.mark.parametrize("after", [0, 1, 2, 5000])
+def test_a_long_line_shows_all_that_is_marked(after: int) -> None:
+    marked = "X" * 50
+    lines = render([finding("a" * 60 + marked + "b" * after, marked)], width=80).splitlines()
+    assert all(len(line) <= 80 for line in lines[2:5])
+    assert lines[3].count("X") == lines[4].count("^") == 50
+
+
 @pytest.mark.parametrize("format", ["full", "concise"])
 def test_nothing_from_a_file_is_obeyed_by_the_terminal(format: str) -> None:
     evil = "a: \x1b[2J\x07\u202e\x9b31m"
