@@ -114,6 +114,12 @@ def test_a_habit_of_another_language_has_a_finding_with_what_to_write(bench, tex
     assert (finding.code, finding.piece, finding.help) == (code, piece, help)
 
 
+def test_a_drawn_whole_number_needs_one_in_its_range(bench):
+    finding = bench.only("integer(0.2 .. 0.7)", Context.RESET)
+    assert (finding.code, finding.piece) == ("DB105", "0.2 .. 0.7")
+    assert bench.clean("integer(0.2 .. 1.7)", Context.RESET)
+
+
 def test_a_fault_below_satisfies_every_check_above(bench):
     assert bench.codes("max(spede + 3 m, flag and 2) > 3 when norm(broken)") == ["DB402", "DB403"]
     assert bench.codes("broken + flag") == []
