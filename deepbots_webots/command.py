@@ -164,9 +164,8 @@ def check_world(path: Path) -> None:
     if path.exists() and not path.is_dir():
         raise UsageError(f"{path} is not a world; name a file that ends in .wbt")
     folder = path if path.is_dir() else path.parent
-    worlds = sorted(world.name for world in (*folder.glob("*.wbt"), *folder.glob("worlds/*.wbt")))[
-        :_MAX_NAMED
-    ]
+    files = (*folder.glob("*.wbt"), *folder.glob("worlds/*.wbt"))
+    worlds = sorted(str(world.relative_to(folder)) for world in files)[:_MAX_NAMED]
     hint = f"; {folder} has the worlds {', '.join(worlds)}" if worlds else "; name a file that ends in .wbt"
     raise UsageError(f"{path} is a folder{hint}" if path.is_dir() else f"{path} does not exist{hint}")
 

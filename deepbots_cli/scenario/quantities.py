@@ -278,10 +278,14 @@ def _range_replacement(value: object) -> str | None:
     if ranges := [part for part in parts if part and part[3] == (parts[0] or part)[3]]:
         lows, highs = " ".join(part[1] for part in ranges), " ".join(part[2] for part in ranges)
         return f"{lows} .. {highs}{ranges[0][3]}" if len(ranges) == len(items) else None
-    if isinstance(value, list) and len(value) == 2 and all(isinstance(end, (int, float)) for end in value):
+    if [type(end) in (int, float) for end in items] == [True, True] and isinstance(value, list):
         return f"{value[0]} .. {value[1]}"
     ends = re.fullmatch(_ENDS, value) if isinstance(value, str) else None
-    return f"{ends[1]}{ends[2] or ''} .. {ends[3]}" if ends else None
+    if ends is None:
+        return None
+    # A unit of the left end alone is that of both.
+    shared = ends[2] or "" if re.fullmatch(NUMBER_PATTERN, ends[3]) else ""
+    return f"{ends[1]}{ends[2] or ''} .. {ends[3]}{shared}"
 
 
 # Field types

@@ -380,8 +380,10 @@ def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: 
     for path, words in (
         ("worlds/v.wbt", "does not exist; {} has the worlds w.wbt"),
         ("worlds", "is a folder; {} has the worlds w.wbt"),
+        ("v.wbt", "does not exist; {} has the worlds worlds/w.wbt"),
     ):
-        with pytest.raises(UsageError, match=re.escape(words.format(project.folder / "worlds"))):
+        folder = (project.folder / path).parent if path.endswith("v.wbt") else project.folder / path
+        with pytest.raises(UsageError, match=re.escape(words.format(folder))):
             check_world(project.folder / path)
 
 
