@@ -104,8 +104,8 @@ class Threshold(NamedTuple):
     """The requirement of a condition that `quantity` is above (or below) some value in `bound`; `dimension`
     is None if it is unknown.
 
-    `now` is false if the condition may hold without the requirement: `running_max(x) > 1 m` holds for ever
-    after, and `abs(x) > 1 m` requires one of two things.
+    `now` is false if the condition may hold without the requirement at present: `running_max(x) > 1 m` holds
+    for ever after. `one_of_two` is true for each requirement of `abs(x) > 1 m`, which needs only one of them.
     """
 
     quantity: Scalar
@@ -113,6 +113,7 @@ class Threshold(NamedTuple):
     bound: Interval
     dimension: Dimension | None = None
     now: bool = True
+    one_of_two: bool = False
 
     @property
     def limit(self) -> float:
@@ -159,11 +160,19 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     meaning = ranges.analysis.resolve_aliases(threshold.quantity)
     match meaning:
         case Op("abs", (inner,)) if threshold.above or ranges.of(inner).low >= 0.0:
-            now = threshold.now and ranges.of(inner).low >= 0.0
-            yield from _derived(threshold._replace(quantity=inner, now=now), ranges)
+            has_two_sides = ranges.of(inner).low < 0.0
+            yield from _derived(
+                threshold._replace(
+                    quantity=inner,
+                    now=threshold.now and not has_two_sides,
+                    one_of_two=threshold.one_of_two or has_two_sides,
+                ),
+                ranges,
+            )
             if threshold.above:
                 yield from _derived(
-                    Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False), ranges
+                    Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False, True),
+                    ranges,
                 )
         case Op("neg", (inner,)):
             yield from _derived(
@@ -202,7 +211,9 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
             bound = solve(threshold.bound, limit)
             above = above == (limit.low > 0.0)
     dimension = threshold.dimension if op in ("add", "sub") else None
-    yield from _derived(Threshold(unknown, above, bound, dimension, threshold.now), ranges)
+    yield from _derived(
+        threshold._replace(quantity=unknown, above=above, bound=bound, dimension=dimension), ranges
+    )
 
 
 def shadowed_endings(analysis: RangeAnalysis) -> Mapping[Expression, Expression]:

@@ -413,7 +413,8 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
         ):
             continue
         for entry in comparisons(analysis, ending):
-            upper = (threshold for threshold in thresholds(entry, analysis.ranges) if not threshold.above)
+            required = (each for each in thresholds(entry, analysis.ranges) if not each.one_of_two)
+            upper = (threshold for threshold in required if not threshold.above)
             reason = next(filter(None, (_unreachable(analysis, threshold) for threshold in upper)), None)
             if reason is not None:
                 words, help = reason

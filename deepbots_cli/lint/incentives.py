@@ -474,7 +474,7 @@ def _away_from_success(reward: RewardTerms, ordinary: Terms, ending: Expression)
     compared = only_comparison(analysis, ending)
     if compared:
         for threshold in thresholds(compared, running):
-            if is_clock(analysis, threshold.quantity):
+            if is_clock(analysis, threshold.quantity) or threshold.one_of_two:
                 continue
             slope = Slope(running, threshold)
             wrong = -1.0 if threshold.above else 1.0
