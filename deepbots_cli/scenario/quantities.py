@@ -643,8 +643,8 @@ class Until(FieldType):
             check_bounds(criterion.episodes, 1)
         if criterion.metric == "success_rate":
             check_bounds(criterion.threshold, 0, 1, written=criterion.written.strip())
-        elif criterion.metric == "steps":
-            check_bounds(criterion.threshold, 1)
+        else:
+            check_bounds(criterion.threshold, 1 if criterion.metric == "steps" else None)
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
