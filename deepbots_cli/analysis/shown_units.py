@@ -11,13 +11,14 @@ from collections import Counter
 from collections.abc import Mapping
 from functools import cached_property
 
-from deepbots_cli.document.nodes import Node, ScalarNode, inline_text, node_at, text_at, walk
+from deepbots_cli.document.nodes import Node, ScalarNode, entries_at, inline_text, node_at, text_at, walk
 from deepbots_cli.expressions.dimensions import Unit
 from deepbots_cli.expressions.text import MAX_TEXT, unit_named, units_in, usual_unit, written_unit
+from deepbots_cli.program import SEPARATOR
 
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*"
 _DEFINITIONS = ("parameters", "signals", "augment")
-_RANGES = ("observation", "action")
+_RANGES = ("observation", "critic", "action")
 _GOALS = ("goal", "achieved", "desired")
 
 
@@ -45,15 +46,23 @@ class ShownUnits:
 
     def of_entry(self, name: str, unit: str) -> Unit:
         """Return the unit of a number of the observation, the action or the goal, such as
-        `robot.sensor.x`."""
+        `robot.sensor.x` or `agent__x`."""
         section, _, entry = name.partition(".")
         if section in _GOALS and node_at(self._root, "goal") is not None:
             return self.of(unit, text_at(self._root, "goal", "range"))
-        for key in (name, name.rpartition(".")[0], entry, entry.rpartition(".")[0]):
-            texts = [text_at(self._root, section, key) for section in _RANGES] if key else []
-            if any(texts):
-                return self.of(unit, *texts)
-        return self.of(unit)
+        owner = name.partition(SEPARATOR)[0].rpartition(".")[2]
+        # The agent itself, the one that it is like, and the others.
+        agents = (owner, text_at(self._root, "agents", owner, "like"), *entries_at(self._root, "agents"))
+        texts_by_key = (
+            [text_at(self._root, section, key) for section in _RANGES]
+            + [
+                text_at(self._root, "agents", agent, section, key.partition(SEPARATOR)[2] or key)
+                for agent in agents
+                for section in _RANGES
+            ]
+            for key in (name, name.rpartition(".")[0], entry, entry.rpartition(".")[0])
+        )
+        return self.of(unit, *next(filter(any, texts_by_key), ()))
 
     def _usual(self, unit: str) -> Unit:
         """Return the usual unit; radians where the file writes all of its angles in radians."""
@@ -64,10 +73,9 @@ class ShownUnits:
     def _of_angles(self) -> Mapping[str, Unit]:
         """The unit that the file uses most for angles, for angular velocities, and so on, by their SI
         units."""
-        nodes = [] if self._root is None else [node for _, node in walk(self._root)]
         counts = Counter(
             unit
-            for node in nodes
+            for _, node in (() if self._root is None else walk(self._root))
             if isinstance(node, ScalarNode)
             for unit in units_in(inline_text(node))
             if unit.dimension.rad

@@ -553,6 +553,20 @@ def test_an_angle_is_shown_in_radians_where_the_file_writes_all_angles_in_radian
     assert (units.of("rad/s").text, ShownUnits().of("rad/s").text) == ("rad/s", "deg/s")
 
 
+def test_a_range_of_an_agent_or_of_the_critic_is_shown_in_the_unit_of_the_file():
+    text = """
+critic: {height: 0 .. 90 cm}
+agents:
+  green: {observation: {gap: 0 .. 6 m}}
+  red: {observation: {gap: 0 .. 600 cm}, critic: {speed: 0 .. 9 mm/s}}
+  blue: {like: red}
+"""
+    units = ShownUnits(parse(Source("agents.yaml", text), Findings()))
+    shown = {"height": "cm", "green__gap": "m", "red__gap": "cm", "blue__gap": "cm", "red.red__gap": "cm"}
+    assert {name: units.of_entry(name, "m").text for name in shown} == shown
+    assert units.of_entry("speed", "m/s").text == "mm/s"
+
+
 BASE = Path(__file__).parents[1] / "golden" / "lint" / "cartpole.yaml"
 SCRIPTED = """\
 deepbots: 1
