@@ -479,8 +479,7 @@ class BatchFailureRecorder:
         self._files = 0
 
     def record_lost(self, stage: int, loss: LostWorld, history: EpisodeHistory) -> None:
-        """Keep a lost episode and report it. The first ten have files, and so does the one that ends the
-        training.
+        """Report a lost episode. The first ten have files, and so does the one that ends the training.
 
         Raises:
             EngineError: Ten of the last hundred episodes were lost.
@@ -490,14 +489,13 @@ class BatchFailureRecorder:
         again_and_again = (
             len(self._losses) == MAX_LOST_EPISODES and number - self._losses[0] < LOSS_WINDOW_EPISODES
         )
-        if not again_and_again and self._files == MAX_LOST_EPISODES:
-            return
-        self._files += 1
+        has_file = again_and_again or self._files < MAX_LOST_EPISODES
+        self._files += has_file
         text = _failure_text(
             f"step {loss.step}: {loss.error}",
             number,
             history,
-            run=self._run,
+            run=self._run if has_file else None,
             stage=self._curriculum.name_of(stage),
         )
         if again_and_again:

@@ -831,6 +831,24 @@ def test_a_world_of_a_batch_that_becomes_infinite_is_reset_and_its_episode_is_ke
         assert failure.error.endswith(error.partition("), ")[2])
 
 
+def test_a_training_reports_each_lost_episode_of_a_batch_and_keeps_ten(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    following = At(10**9)
+    rarely = f"choice({' | '.join(['0'] * 30)} | 1e9)"
+    # No evaluation of this seed draws a push.
+    train(
+        hurled(rarely),
+        run=tmp_path / "run",
+        seed=1,
+        total_timesteps=2_048,
+        engine="mujoco",
+        progress=following,
+    )
+    resets = [text for text in following.notes if "was reset" in text]
+    assert len(resets) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 10
+    assert len(list((tmp_path / "run" / "failures").iterdir())) == 10
+
+
 def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     with pytest.raises(
