@@ -618,6 +618,27 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
             assert named.driver.note == "policy after 64 steps"
 
 
+def test_the_pictures_of_a_recording_have_the_numbers_of_its_episodes(
+    deepbots, find_ball, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    drawn = ["render", find_ball[0], "--size", "60x40", "--seconds", "0.1"]
+    first, both = (
+        json.loads(deepbots(*drawn, *options, "--json").out)["files"]
+        for options in (["-o", "first.gif"], ["--episodes", "2", "-o", "both.gif"])
+    )
+    assert [each["episode"] for each in first[0]["episodes"]] == [2]
+    assert [each["file"] for each in both] == ["both-2.gif", "both-3.gif"]
+    assert [each["episodes"][0]["episode"] for each in both] == [2, 3]
+    for options, message in (
+        (["--seed", "7"], "already contains its seeds; leave out --seed"),
+        (["--episode", "0"], "contains no episode 0; it contains 2 to 3"),
+        (["--episodes", "3"], "contains 2 episodes; write --episodes 2 or less"),
+        (["--episode", "3", "--episodes", "2"], "contains 1 episode from episode 3 on; write --episodes 1"),
+    ):
+        assert message in " ".join(deepbots(*drawn, *options, "-o", "wrong.gif", code=2).err.split())
+
+
 def test_the_named_model_drives_a_batch_too_and_its_note_names_other_physics(tmp_path):
     run = Run.open(_trained(tmp_path, "cartpole"))
     run.model("best").write_bytes(b"")  # which would be refused

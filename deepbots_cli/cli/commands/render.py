@@ -54,6 +54,7 @@ from deepbots_cli.words import counted, sentence_list, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.report import Report
+    from deepbots_cli.rollout.recordings import Recording, RobotLog
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.frames import WorldFrame
     from deepbots_cli.view.pictures import Viewpoint
@@ -262,7 +263,6 @@ def command(
         selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS, agent)
     else:
         selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
-    files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
     source = Showing(
         shown if ref is None else str(ref.run.path),
         overrides or (),
@@ -276,6 +276,9 @@ def command(
     )
     drawing = _Drawing(shot, steps, labels, rays, seconds, speed or 1.0)
     with closing_player(source, driver) as world:
+        if world.opened.recording is not None:
+            selection = _Episodes.recorded(world.opened.recording, seed, episode, episodes or 1)
+        files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
         ends = _draw_episodes(world, kind, files, selection, drawing)
         have_rivals = world.program.has_rivals
     rows = records.recorded_rows(zip(selection.numbers, ends, strict=True), have_rivals=have_rivals)
@@ -335,8 +338,32 @@ class _Episodes:
     def of(ref: ModelRef | None, seed: int | None, first: int, count: int) -> _Episodes:
         """Choose episodes from a seed, by default that of the run, and 0 without one."""
         default = 0 if ref is None else ref.run.record.seed
-        numbers = range(first, first + count)
-        return _Episodes(default if seed is None else seed, numbers, "best" if ref is None else ref.name)
+        return _Episodes(
+            default if seed is None else seed,
+            range(first, first + count),
+            "best" if ref is None else ref.name,
+        )
+
+    @staticmethod
+    def recorded(
+        recording: Recording | RobotLog, seed: int | None, first: int | None, count: int
+    ) -> _Episodes:
+        """Choose consecutive episodes of a recording, by default from its first one on.
+
+        Raises:
+            UsageError: A seed is given, or the recording does not contain so many episodes.
+        """
+        if seed is not None:
+            raise UsageError(f"{recording.path} already contains its seeds; leave out --seed")
+        numbers = [episode.number for episode in recording.episodes]
+        remaining = numbers if first is None else numbers[numbers.index(recording.episode(first).number) :]
+        if count > len(remaining):
+            start = "" if first is None else f" from episode {first} on"
+            raise UsageError(
+                f"{recording.path} contains {counted(len(remaining), 'episode')}{start}; write --episodes"
+                f" {len(remaining)} or less"
+            )
+        return _Episodes(0, remaining[:count])
 
     @staticmethod
     def failed(ref: ModelRef, maximum: int | None, agent: str | None) -> _Episodes:
