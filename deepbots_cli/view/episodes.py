@@ -77,7 +77,7 @@ class Showing:
     model: ModelName = "best"
     """The model that acts for a run that has ended; while a run is trained, the newest one acts."""
     is_model_named: bool = False
-    """Whether `reference` is a model, which acts always."""
+    """Whether `model` acts always, as it does if `reference` is its file."""
     deterministic: bool = True
     """Whether the policy takes its likeliest action, or samples."""
 
@@ -101,7 +101,7 @@ class Showing:
         if source.kind in (SourceKind.RUN, SourceKind.CHECKPOINT):
             ref = ModelRef.open(source, model=self.model)
             run = ref.run
-            showing = replace(self, model=ref.name, is_model_named=ref.is_named)
+            showing = replace(self, model=ref.name, is_model_named=self.is_model_named or ref.is_named)
         else:
             overrides = with_engine(overrides, self.engine)
         checked = source.checked(overrides=overrides)

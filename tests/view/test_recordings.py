@@ -30,6 +30,7 @@ from deepbots_cli import learning
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.cli import main
 from deepbots_cli.errors import RunError, UsageError
+from deepbots_cli.insight.export.hub import hub_files
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import RANDOM, ZERO
@@ -618,10 +619,19 @@ def test_a_training_is_followed_to_its_newest_policy(tmp_path):
             assert named.driver.note == "policy after 64 steps"
 
 
-def test_the_pictures_of_a_recording_have_the_numbers_of_its_episodes(
-    deepbots, find_ball, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
+def test_a_named_model_is_drawn_while_a_newer_one_is_trained(tmp_path, deepbots):
+    run = Run.open(_trained(tmp_path, "cartpole"))
+    deepbots("eval", run.path, "--episodes", "2")
+    run.model("last").write_bytes(b"")  # newer, and would be refused
+    run.update(status="running")
+    picture = ["-o", "episode.gif", "--size", "60x40", "--seconds", "0.1", "--force"]
+    with run_lock(run.path):
+        assert "episode.gif" in deepbots("render", run.model("best"), *picture).out
+        assert "episode-0.gif" in deepbots("render", run.path, "--episodes", "failed", *picture).out
+        assert "replay.mp4" in map(str, hub_files(run, "best"))
+
+
+def test_the_pictures_of_a_recording_have_the_numbers_of_its_episodes(deepbots, find_ball):
     drawn = ["render", find_ball[0], "--size", "60x40", "--seconds", "0.1"]
     first, both = (
         json.loads(deepbots(*drawn, *options, "--json").out)["files"]

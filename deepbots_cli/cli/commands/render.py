@@ -272,6 +272,7 @@ def command(
         stage,
         start=start_values(start),
         model=selection.model,
+        is_model_named=episodes == FAILED_EPISODES or (ref is not None and ref.is_named),
         deterministic=selection.deterministic,
     )
     drawing = _Drawing(shot, steps, labels, rays, seconds, speed or 1.0)

@@ -28,7 +28,7 @@ def hub_files(run: Run, name: ModelName) -> dict[PurePosixPath, bytes]:
     files = {"bundle" / path: content for path, content in bundle.bundle_files(run, name).items()}
     with TemporaryDirectory() as folder, suppress(EngineError, MissingExtraError):
         pictures.check_target(video := Path(folder, "replay.mp4"), (".mp4",), force=True)
-        with closing_player(Showing(str(run.path), model=name), None) as player:
+        with closing_player(Showing(str(run.path), model=name, is_model_named=True), None) as player:
             pictures.write_clip(player, video, pictures.Viewpoint(480, 320), seed=run.record.seed, episode=0)
         files[PurePosixPath(video.name)] = video.read_bytes()
     info = decode(files["bundle" / PurePosixPath(BUNDLE_NAME)])
