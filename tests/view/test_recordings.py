@@ -631,6 +631,13 @@ def test_a_named_model_is_drawn_while_a_newer_one_is_trained(tmp_path, deepbots)
         assert "replay.mp4" in map(str, hub_files(run, "best"))
 
 
+def test_a_picture_of_a_folder_has_its_whole_name(tmp_path, deepbots, monkeypatch):
+    run = _trained(tmp_path, "cartpole").rename(tmp_path / "lr-0.001")
+    assert deepbots("render", "lr-0.001", "--size", "60x40").out == "lr-0.001.png\n"
+    monkeypatch.chdir(run / "models")
+    assert deepbots("render", "..", "--size", "60x40").out == "lr-0.001.png\n"
+
+
 def test_the_pictures_of_a_recording_have_the_numbers_of_its_episodes(deepbots, find_ball):
     drawn = ["render", find_ball[0], "--size", "60x40", "--seconds", "0.1"]
     first, both = (

@@ -223,7 +223,8 @@ def command(
     agent: str | None = None,
 ) -> None:
     """Make a picture, a video, an offline page or a recording."""
-    file = output or Path(f"{Path(shown).stem}{PICTURE}")
+    path = Path(shown)
+    file = output or Path(f"{path.resolve().name if path.is_dir() else path.stem}{PICTURE}")
     values = {
         "--labels": labels,
         "--rays": rays,
