@@ -759,6 +759,10 @@ def test_the_commands_write_their_files_and_refuse_what_they_cannot(tmp_path, de
         ),
         (["render", "cartpole", "-o", "none/a.gif"], "no directory"),
         (["render", "cartpole", "--size", "9x9"], "is not a size"),
+        (
+            ["render", "cartpole", "--size", "333x202", "-o", "odd.mp4"],
+            "odd.mp4: an MP4 has an even width and height; write --size 334x202, or name a .gif",
+        ),
         (["render", "cartpole", "--from", "1,2"], "is not a point"),
         (
             ["render", "cartpole", "--from", "1,2,1", "--follow", "cart"],

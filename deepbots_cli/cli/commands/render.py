@@ -243,6 +243,11 @@ def command(
     from deepbots_cli.view import pictures
 
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
+    if kind == ".mp4" and (width % 2 or height % 2):
+        raise UsageError(
+            f"{file}: an MP4 has an even width and height; write --size"
+            f" {width + width % 2}x{height + height % 2}, or name a .gif"
+        )
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
         check_options(ctx, "a robot file")
