@@ -231,7 +231,8 @@ def _read(options: _Options) -> _Opened:
     names = [robot.name for robot in scene.robots]
     unknown = next((name for name in options.controllers if name not in names), None)
     if unknown is not None:
-        raise UsageError(f"--controller {unknown}=...: the robots of the world are {', '.join(names)}")
+        robots = f"the robots of the world are {', '.join(names)}" if names else "the world has no robots"
+        raise UsageError(f"--controller {unknown}=...: {robots}")
     pairs = list(programs(world.files, scene.robots, options.controllers))
     for _, program in pairs:
         if program.remark:

@@ -402,6 +402,8 @@ def test_a_world_without_controllers_says_so(project: Project):
 def test_a_world_without_robots_says_so(project: Project):
     project.write("worlds/w.wbt", HEADER + "Solid { }")
     assert "the world has no robots" in project.run(allow=False).out
+    ran = project.run("--controller", f"cart={__file__}", code=2)
+    assert "--controller cart=...: the world has no robots" in ran.err
 
 
 def test_the_packages_of_another_environment_are_found(project: Project):
