@@ -24,7 +24,7 @@ from gymnasium import spaces
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.records import dataclass
-from deepbots_cli.words import shell_word
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_robot.model import BundleInfo
@@ -376,6 +376,23 @@ class RobotLog:
                 f" {shell_word(self.path)}"
             )
         return numbered
+
+
+def consecutive(recording: Recording | RobotLog, first: int | None, count: int) -> Sequence[int]:
+    """Return the numbers of `count` episodes, from `first` or else the first one of the recording on.
+
+    Raises:
+        UsageError: The recording does not contain so many episodes.
+    """
+    numbers = [episode.number for episode in recording.episodes]
+    remaining = numbers if first is None else numbers[numbers.index(recording.episode(first).number) :]
+    if count > len(remaining):
+        start = "" if first is None else f" from episode {first} on"
+        raise UsageError(
+            f"{recording.path} contains {counted(len(remaining), 'episode')}{start}; write --episodes"
+            f" {len(remaining)} or less"
+        )
+    return remaining[:count]
 
 
 def is_robot_log(path: Path) -> bool:

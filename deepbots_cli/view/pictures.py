@@ -378,8 +378,13 @@ def write_clip(
 
     Raises:
         EngineError: The engine cannot draw.
-        UsageError: There is no robot to follow.
+        UsageError: There is no robot to follow, or an MP4 would have an odd width or height.
     """
+    if path.suffix.lower() == ".mp4" and (shot.width % 2 or shot.height % 2):
+        raise UsageError(
+            f"{path}: an MP4 has an even width and height; write --size"
+            f" {shot.width + shot.width % 2}x{shot.height + shot.height % 2}, or name a .gif"
+        )
     steps = None if seconds is None else max(1, round(seconds / player.program.period))
     world_frames = player.episode(seed, episode, steps)
     with atomic_write(path) as draft:

@@ -40,7 +40,7 @@ from deepbots_cli.cli.tables import Row, write_tables
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import chosen as engine_or_default
 from deepbots_cli.errors import MissingExtraError, UsageError
-from deepbots_cli.files import atomic_write
+from deepbots_cli.files import atomic_write, check_folder, check_output
 from deepbots_cli.frames import add
 from deepbots_cli.learning.campaigns.study import JOURNAL_NAME
 from deepbots_cli.learning.runs.run import ModelName, ModelRef
@@ -54,7 +54,6 @@ from deepbots_cli.words import counted, sentence_list, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.report import Report
-    from deepbots_cli.rollout.recordings import Recording, RobotLog
     from deepbots_cli.view.episodes import Player
     from deepbots_cli.view.frames import WorldFrame
     from deepbots_cli.view.pictures import Viewpoint
@@ -95,8 +94,7 @@ def size(text: str) -> tuple[int, int]:
         raise typer.BadParameter(
             f"'{text}' is not a size; write width x height in pixels, such as 640x480, from 16 to {MAX_SIDE}"
         )
-    width, height = sides
-    return width, height
+    return sides[0], sides[1]
 
 
 def point(text: str) -> tuple[float, float, float]:
@@ -243,11 +241,6 @@ def command(
     from deepbots_cli.view import pictures
 
     width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
-    if kind == ".mp4" and (width % 2 or height % 2):
-        raise UsageError(
-            f"{file}: an MP4 has an even width and height; write --size"
-            f" {width + width % 2}x{height + height % 2}, or name a .gif"
-        )
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
         check_options(ctx, "a robot file")
@@ -268,7 +261,12 @@ def command(
             raise UsageError(f"--episodes failed repeats an evaluation of a run, and {shown} is none")
         selection = _Episodes.failed(ref, None if kind == RECORDING_SUFFIX else MAX_FILMS, agent)
     else:
-        selection = _Episodes.of(ref, seed, episode or 0, episodes or 1)
+        default = 0 if ref is None else ref.run.record.seed
+        selection = _Episodes(
+            default if seed is None else seed,
+            range(episode or 0, (episode or 0) + (episodes or 1)),
+            "best" if ref is None else ref.name,
+        )
     source = Showing(
         shown if ref is None else str(ref.run.path),
         overrides or (),
@@ -284,7 +282,11 @@ def command(
     drawing = _Drawing(shot, steps, labels, rays, seconds, speed or 1.0)
     with closing_player(source, driver) as world:
         if world.opened.recording is not None:
-            selection = _Episodes.recorded(world.opened.recording, seed, episode, episodes or 1)
+            from deepbots_cli.rollout.recordings import consecutive
+
+            if seed is not None:
+                raise UsageError(f"{shown} already contains its seeds; leave out --seed")
+            selection = _Episodes(0, consecutive(world.opened.recording, episode, episodes or 1))
         files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
         ends = _draw_episodes(world, kind, files, selection, drawing)
         have_rivals = world.program.has_rivals
@@ -342,37 +344,6 @@ class _Episodes:
     deterministic: bool = True
 
     @staticmethod
-    def of(ref: ModelRef | None, seed: int | None, first: int, count: int) -> _Episodes:
-        """Choose episodes from a seed, by default that of the run, and 0 without one."""
-        default = 0 if ref is None else ref.run.record.seed
-        return _Episodes(
-            default if seed is None else seed,
-            range(first, first + count),
-            "best" if ref is None else ref.name,
-        )
-
-    @staticmethod
-    def recorded(
-        recording: Recording | RobotLog, seed: int | None, first: int | None, count: int
-    ) -> _Episodes:
-        """Choose consecutive episodes of a recording, by default from its first one on.
-
-        Raises:
-            UsageError: A seed is given, or the recording does not contain so many episodes.
-        """
-        if seed is not None:
-            raise UsageError(f"{recording.path} already contains its seeds; leave out --seed")
-        numbers = [episode.number for episode in recording.episodes]
-        remaining = numbers if first is None else numbers[numbers.index(recording.episode(first).number) :]
-        if count > len(remaining):
-            start = "" if first is None else f" from episode {first} on"
-            raise UsageError(
-                f"{recording.path} contains {counted(len(remaining), 'episode')}{start}; write --episodes"
-                f" {len(remaining)} or less"
-            )
-        return _Episodes(0, remaining[:count])
-
-    @staticmethod
     def failed(ref: ModelRef, maximum: int | None, agent: str | None) -> _Episodes:
         """Choose the first failed episodes of the last evaluation of a run, or of one of its models; with
         `agent`, those that this agent failed.
@@ -416,11 +387,10 @@ def _draw_episodes(
     """Make the files. Returns the last frames of the episodes."""
     from deepbots_cli.view import pictures
 
-    steps = drawing.steps
     if kind == RECORDING_SUFFIX:
-        return _record(world, files[0], selection, steps)
+        return _record(world, files[0], selection, drawing.steps)
     if kind == PICTURE:
-        *_, last = world.episode(selection.seed, selection.numbers[0], steps or 0)
+        *_, last = world.episode(selection.seed, selection.numbers[0], drawing.steps or 0)
         image = pictures.render_picture(world, drawing.viewpoint, labels=drawing.labels, rays=drawing.rays)
         with atomic_write(files[0]) as draft:
             image.save(draft, "PNG")
@@ -548,7 +518,6 @@ def command_report(
     allow_code: AllowCode = False,
 ) -> None:
     """Write a report about a run."""
-    from deepbots_cli.files import atomic_write, check_folder, check_output
     from deepbots_cli.view.plots import import_matplotlib
 
     if folder_kind(run) is SourceKind.STUDY:
