@@ -132,7 +132,7 @@ _TERNARY = (
     rf"\s*(?P<left>\()?\s*(?P<open>{_SIDE})\s*\?\s*(?P<value>{_SIDE})\s*:\s*(?P<otherwise>{_SIDE})\s*"
     r"(?P<right>(?(left)\)))\s*"
 )
-_BARS = r"\|([^|]+)\|"
+_BARS = r"\|\s*([\w(.+-](?:[^|]*[\w.)])?)\s*\|"  # a whole value between two bars
 _MAX_FOREIGN = 200
 
 
@@ -146,14 +146,17 @@ def as_conditional(text: str) -> str | None:
         return None
     condition = match.groupdict().get("group") or match["open"]
     left, right = (match.groupdict().get(side) or "" for side in ("left", "right"))
-    return f"{left}{match['value']} if {condition.strip()} else {match['otherwise']}{right}"
+    return (
+        f"{left}{match['value']} if {condition.strip()} else"
+        f" {as_conditional(match['otherwise']) or match['otherwise']}{right}"
+    )
 
 
 def without_bars(text: str) -> str | None:
-    """Return the text with `abs(x)` for each `|x|`; None if the text has none."""
+    """Return the text with `abs(x)` for each `|x|`, also within another; None if it has none, or keeps a bar."""
     if len(text) > _MAX_FOREIGN or not re.search(_BARS, text):
         return None
-    return re.sub(_BARS, lambda match: f"abs({match[1].strip()})", text)
+    return without_bars(plain) if "|" in (plain := re.sub(_BARS, r"abs(\1)", text)) else plain
 
 
 # The help for functions of other languages.

@@ -511,14 +511,23 @@ class _Parser:
                 before.start, before.end, f"`{before.text}` in an expression", _HINTS[before.text].help
             )
         token = self._peek
-        if token.text in _CONDITIONAL_SIGNS and (replacement := nearest.as_conditional(self._text)):
+        if (
+            token.text in _CONDITIONAL_SIGNS
+            and (replacement := nearest.as_conditional(self._text))
+            and _is_expression(replacement)
+        ):
             return _SyntaxError(
                 token.start,
                 token.end,
                 "this condition is in the form of another language",
                 f"write `{replacement}`",
             )
-        if token.text == "|" and missing and (replacement := nearest.without_bars(self._text)):
+        if (
+            missing
+            and token.text in ("|", "||")
+            and (replacement := nearest.without_bars(self._text))
+            and _is_expression(replacement)
+        ):
             headline = "`|` does not mean the absolute value"
             return _SyntaxError(token.start, token.end, headline, f"write `{' '.join(replacement.split())}`")
         if token.text == "(" and (names := self._names_before()):
@@ -529,7 +538,12 @@ class _Parser:
             return _SyntaxError(
                 first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
             )
-        return _SyntaxError(token.start, token.end, *_diagnosis(self._tokens, self._at, missing))
+        headline, help, correction = _diagnosis(self._tokens, self._at, missing)
+        if token.text in _PLAIN_SIGNS and not _is_expression(
+            re.sub(_FOREIGN_SIGN, lambda sign: _PLAIN_SIGNS[sign[0]], self._text)
+        ):
+            correction = None
+        return _SyntaxError(token.start, token.end, headline, help, correction)
 
     def _names_before(self) -> tuple[str, ...]:
         """Return the names joined by dots that end right before this token; empty if there is only one."""
@@ -541,6 +555,11 @@ class _Parser:
                 break
             at -= 2
         return tuple(names) if len(names) > 1 else ()
+
+
+def _is_expression(text: str) -> bool:
+    """Return whether the parser accepts a corrected text."""
+    return parse(text, lambda *_: None) is not None
 
 
 def _is_open_conditional(node: Node) -> bool:
@@ -646,6 +665,12 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
 }
 
 
+_PLAIN_SIGNS = {
+    sign: f" {hint.text} " if hint.text.isalpha() else hint.text for sign, hint in _HINTS.items() if hint.text
+}
+_FOREIGN_SIGN = "|".join(map(re.escape, _PLAIN_SIGNS))
+
+
 def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | None, Replacement | None]:
     """Return headline, help and correction for the token `at`, which cannot be here; `missing` if a value was
     due."""
@@ -657,7 +682,7 @@ def _diagnosis(tokens: list[Token], at: int, missing: bool) -> tuple[str, str | 
     if token.kind == "END":
         return "the expression is incomplete", _missing_end(tokens) if at else None, None
     if token.text == "=":
-        return "`=` in an expression", *_about_equals(tokens, at)
+        return "`=` in an expression", *_about_equals(tokens, at, missing)
     if token.kind == "STRANGE" or (token.kind == "NAME" and help and token.text not in _CONDITIONAL_WORDS):
         if text is not None and text.isalpha():  # a word needs blanks around it
             text = " " * (before.end == token.start) + text + " " * (tokens[at + 1].start == token.end)
@@ -738,7 +763,7 @@ def _missing_end(tokens: list[Token]) -> str | None:
     return f"{missing} missing after `{last.text}`"
 
 
-def _about_equals(tokens: list[Token], at: int) -> tuple[str, Replacement | None]:
+def _about_equals(tokens: list[Token], at: int, missing: bool) -> tuple[str, Replacement | None]:
     if at and tokens[at - 1].text in ("+", "-", "*", "/"):
         return (
             "remove the assignment: the key names the value, and deepbots adds up the terms of a reward",
@@ -746,4 +771,4 @@ def _about_equals(tokens: list[Token], at: int) -> tuple[str, Replacement | None
         )
     if at >= 2 and tokens[at - 1].kind == "NAME" and tokens[at - 2].text in ("(", ","):
         return "pass arguments in order, without names", None
-    return "compare with `==`", Replacement("==", safe=True)
+    return "compare with `==`", None if missing else Replacement("==", safe=True)

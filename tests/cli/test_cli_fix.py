@@ -198,6 +198,12 @@ FIXED = {
         [],
         0,
     ),
+    "a sign with no value before it": (
+        [("abs(x) > track", "2 * || x > track")],
+        "",
+        [("abs(x) > track", "2 * || x > track")],
+        1,
+    ),
 }
 
 
