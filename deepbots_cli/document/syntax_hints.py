@@ -396,7 +396,7 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
     line, above = problem.line_at(problem.line_start), problem.line_above(problem.line_start)
     if above is not None and not above.key:
         line_text = problem.rest_of_line(above.start).strip()
-        if missing_colon(line_text) and _is_first(problem, above):
+        if (missing_colon(line_text) or GLUED.match(line_text)) and _is_first(problem, above):
             return _line_without_key(problem, above.start + above.indent, line_text)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
         help = (
@@ -540,10 +540,19 @@ def _behind_value(problem: _Problem) -> Finding | None:
         help = "give keys of one mapping the same indentation"
         return problem.finding("this line does not align with the lines above", help, at, length)
     above = problem.line_above(line.start)
-    if above is not None and above.key and not above.opens:
-        misplaced = _value_out_of_place(problem, line, above)
-        if misplaced is not None:
-            return misplaced
+    if (
+        above is not None
+        and GLUED.match(first_line := problem.rest_of_line(above.start).strip())
+        and _is_first(problem, above)
+    ):
+        return _line_without_key(problem, above.start + above.indent, first_line)
+    if (
+        above is not None
+        and above.key
+        and not above.opens
+        and (misplaced := _value_out_of_place(problem, line, above))
+    ):
+        return misplaced
     near, *others = sorted(levels, key=lambda level: abs(level.indent - line.indent))
     below = problem.line_below(line.start)
     if line.opens and below is not None and below.indent > line.indent:

@@ -93,6 +93,9 @@ def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int)
         "  drive: {choices: {forward: 1 backward: -1}}",
         # A colon is missing in braces.
         "world: {timestep 32 ms, substeps: 4}",
+        # No space behind the colon of the first key of a section.
+        "  fall_angle:15 deg  # the largest lean",
+        "  alive:1",
         # `=` in place of a colon.
         "name = Mine",
         "  fall_angle=15 deg  # the largest lean",
