@@ -527,7 +527,8 @@ def _behind_value(problem: _Problem) -> Finding | None:
         whole = problem.rest_of_line(
             problem.line_start + (key.end() if key else len(before) - len(before.lstrip()))
         )
-        quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'[^\"]*'", whole) else _quoted(whole)
+        # Of an odd number of quotes, one within the value ended it, such as the apostrophe of `'it's here'`.
+        quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'(?:[^\"']*'[^\"']*')+", whole) else _quoted(whole)
         return problem.finding(
             "text after the end of a value", f"put the whole value in quotes: {quoted}", at, length
         )
