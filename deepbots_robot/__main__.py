@@ -40,18 +40,17 @@ def _parser() -> argparse.ArgumentParser:
         )
         command.add_argument("--json", action="store_true", help="print the result as JSON")
     serving = commands.choices["serve"]
-    serving.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
+    link = serving.add_mutually_exclusive_group()
+    link.add_argument("--ros", action="store_true", help="ROS 2 over Cyclone DDS; the default")
     serving.add_argument("--ros1", action="store_true", help=argparse.SUPPRESS)
     serving.add_argument(
         "--interface", metavar="NAME", help="network interface of ROS 2; by default the loopback interface"
     )
     serving.add_argument(
-        "--domain", metavar="N", type=int, default=0, help="domain of ROS 2, as ROS_DOMAIN_ID"
+        "--domain", metavar="N", type=int, help="domain of ROS 2, as ROS_DOMAIN_ID; 0 by default"
     )
-    serving.add_argument("--zmq", metavar="ADDRESS", help="ZeroMQ at an address such as tcp://127.0.0.1:5555")
-    serving.add_argument(
-        "--websocket", metavar="PORT", help="WebSocket at a port of this machine, or HOST:PORT"
-    )
+    link.add_argument("--zmq", metavar="ADDRESS", help="ZeroMQ at an address such as tcp://127.0.0.1:5555")
+    link.add_argument("--websocket", metavar="PORT", help="WebSocket at a port of this machine, or HOST:PORT")
     serving.add_argument(
         "--lockstep",
         action="store_true",
@@ -101,7 +100,9 @@ def _check(options: argparse.Namespace) -> int:
 def _serve(options: argparse.Namespace) -> int:
     if options.ros1:
         raise ServeError(NO_ROS1)
-    transport = Transport(options.zmq, options.websocket, options.interface, options.domain)
+    transport = Transport(options.zmq, options.websocket, options.interface, options.domain or 0)
+    if not transport.is_ros and not (options.interface is None and options.domain is None):
+        raise ServeError("--interface and --domain belong to ROS 2; leave out --zmq or --websocket")
     report = serve(
         load(options.bundle, trusted=options.trusted),
         transport,

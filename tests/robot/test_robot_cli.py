@@ -58,6 +58,23 @@ def test_ros_1_is_gone_and_the_error_names_the_links_that_remain(
     assert all(word in error for word in ("ROS 1 is gone", "ros1_bridge", "ZeroMQ", "WebSocket"))
 
 
+@pytest.mark.parametrize(
+    ("words", "code", "error"),
+    [
+        (["--websocket", "5598"], 2, "argument --websocket: not allowed with argument --zmq"),
+        (["--domain", "0"], 1, "--domain belong to ROS 2; leave out --zmq"),
+    ],
+)
+def test_an_option_of_another_link_is_refused_and_not_dropped(
+    words: list[str], code: int, error: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        ended = robot(["serve", "bundle", "--zmq", "tcp://127.0.0.1:5599", *words])
+    except SystemExit as usage:
+        ended = usage.code
+    assert (ended, error in capsys.readouterr().err) == (code, True)
+
+
 def test_the_check_runs_nothing_that_lies_in_the_folder(folder: Path, tmp_path: Path) -> None:
     """`python -c "import deepbots_robot"` in the folder of a bundle imported its `json.py`."""
     place = shutil.copytree(folder, tmp_path / "bundle")
