@@ -538,12 +538,12 @@ class _Parser:
             return _SyntaxError(
                 first.start, self._tokens[self._at - 1].end, f"`{'.'.join(names)}` is not a function", help
             )
-        headline, help, correction = _diagnosis(self._tokens, self._at, missing)
+        headline, advice, correction = _diagnosis(self._tokens, self._at, missing)
         if token.text in _PLAIN_SIGNS and not _is_expression(
             re.sub(_FOREIGN_SIGN, lambda sign: _PLAIN_SIGNS[sign[0]], self._text)
         ):
             correction = None
-        return _SyntaxError(token.start, token.end, headline, help, correction)
+        return _SyntaxError(token.start, token.end, headline, advice, correction)
 
     def _names_before(self) -> tuple[str, ...]:
         """Return the names joined by dots that end right before this token; empty if there is only one."""
@@ -559,7 +559,7 @@ class _Parser:
 
 def _is_expression(text: str) -> bool:
     """Return whether the parser accepts a corrected text."""
-    return parse(text, lambda *_: None) is not None
+    return parse(text, lambda *_, **__: None) is not None
 
 
 def _is_open_conditional(node: Node) -> bool:
