@@ -492,6 +492,8 @@ class BatchPlayer(Player):
         self._running = BatchEpisodes(self.batch, by_copy=True)
         self._endings: dict[int, dict[str, Any]] = {}
         """The endings of the episodes of worlds, as fields of a frame."""
+        self._frames: dict[int, WorldFrame] = {}
+        """The newest frames that were read; those of ended worlds stay."""
         self._rewards = np.zeros(self.batch.count)
         self._terms = np.zeros((len(self.batch.TERMS), self.batch.count))
         self.action = None
@@ -526,6 +528,8 @@ class BatchPlayer(Player):
         self.observation = outcome.observations
         outcome = self.batch.rows.step_by_world(outcome)
         self._running.resting[outcome.done] = True
+        self._frames = {world: frame for world, frame in self._frames.items() if world in self._endings}
+        shown = self.world
         for world, info in zip(outcome.done.tolist(), outcome.infos, strict=True):
             self._endings[world] = {
                 "ended_by": info["ended_by"],
@@ -533,7 +537,8 @@ class BatchPlayer(Player):
                 "truncated": bool(outcome.truncated[world]),
                 "succeeded": successful_agents(self.program, info["endings"], info.get("agent_endings", {})),
             }
-        return self._read()
+            self.choose(world)  # its messages go on in further steps
+        return self.choose(shown)
 
     @property
     def note(self) -> str:
@@ -550,8 +555,12 @@ class BatchPlayer(Player):
         self.batch.close()
 
     def _read(self) -> WorldFrame:
-        """Read the frame of the world: its poses, rays and contacts, and the columns of the batch."""
+        """Read the frame of the world: its poses, rays and contacts, and the columns of the batch. A second
+        reading would lack its messages."""
         batch, world = self.batch, self.world
+        if world in self._frames:
+            self.frame = self._frames[world]
+            return self.frame
         action = None if self.action is None else batch.rows.by_world(self.action)
         frame = self.reader.read(
             value_of_row(batch.rows.by_world(self.observation), world), value_of_row(action, world)
@@ -567,7 +576,7 @@ class BatchPlayer(Player):
                 agents={name: self._agent(agent, self._row(name)) for name, agent in frame.agents.items()},
                 **self._endings.get(world, {}),
             )
-        self.frame = frame
+        self.frame = self._frames[world] = frame
         return frame
 
     def _row(self, name: str) -> int:

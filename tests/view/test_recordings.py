@@ -458,7 +458,9 @@ def _leaves(value, path=""):
 
 
 def test_worlds_of_a_batch_that_have_ended_rest_until_the_next_episodes():
-    with closing(open_player(Showing("cartpole", engine="mujoco", worlds=4).open(), RANDOM)) as player:
+    with closing(
+        open_player(Showing("cartpole_wireless", engine="mujoco", worlds=4).open(), RANDOM)
+    ) as player:
         player.begin(0, 0)
         while player._running.resting.sum() < 2:
             player.step()
@@ -492,6 +494,8 @@ def test_a_world_that_is_chosen_at_the_reset_has_the_messages_of_its_own_reset()
             messages = player.choose(1).messages
             assert messages["cart/from_robot"].received
             assert messages["cart/to_robot"].values == (None,)
+            player.choose(0)
+            assert player.choose(1).messages == messages
             player.step()
             player.choose(0)
 
