@@ -641,10 +641,8 @@ class Until(FieldType):
             return
         if criterion.episodes is not None:
             check_bounds(criterion.episodes, 1)
-        if criterion.metric == "success_rate":
-            check_bounds(criterion.threshold, 0, 1, written=criterion.written.strip())
-        else:
-            check_bounds(criterion.threshold, 1 if criterion.metric == "steps" else None)
+        lowest, highest = {"success_rate": (0, 1), "steps": (1, None)}.get(criterion.metric, (None, None))
+        check_bounds(criterion.threshold, lowest, highest, written=criterion.written.strip())
 
     def help_for(self, value: object) -> str | None:
         if isinstance(value, str) and re.fullmatch(_MEAN, value.strip()):
