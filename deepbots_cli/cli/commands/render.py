@@ -280,6 +280,7 @@ def command(
         deterministic=selection.deterministic,
     )
     drawing = _Drawing(shot, steps, labels, rays, seconds, speed or 1.0)
+    files = [] if episodes else _files(file, kind, None, force=force)
     with closing_player(source, driver) as world:
         if world.opened.recording is not None:
             from deepbots_cli.rollout.recordings import consecutive
@@ -287,7 +288,7 @@ def command(
             if seed is not None:
                 raise UsageError(f"{shown} already contains its seeds; leave out --seed")
             selection = _Episodes(0, consecutive(world.opened.recording, episode, episodes or 1))
-        files = _files(file, kind, None if episodes is None else selection.numbers, force=force)
+        files = files or _files(file, kind, selection.numbers, force=force)
         ends = _draw_episodes(world, kind, files, selection, drawing)
         have_rivals = world.program.has_rivals
     rows = records.recorded_rows(zip(selection.numbers, ends, strict=True), have_rivals=have_rivals)
