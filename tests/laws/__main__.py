@@ -15,6 +15,7 @@ import json
 import multiprocessing
 import sys
 import time
+from collections import Counter
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from pathlib import Path
 from typing import Any
@@ -40,18 +41,22 @@ def main() -> int:
         parser.error(f"unknown law {sorted(unknown)[0]}; the laws are {', '.join(LAWS)}")
     attempts = try_all(options)
     failed = [done for done in attempts if done.failure]
+    outcomes: Counter[str] = sum((done.outcomes for done in attempts), Counter())
     pairs = report(pair for done in attempts for pair in done.met)
     if options.report:
         options.report.parent.mkdir(parents=True, exist_ok=True)
-        options.report.write_text(json.dumps(summary(attempts, pairs), indent=1), encoding="utf-8")
-    seconds = sum(done.seconds for done in attempts)
-    print(f"{len(attempts)} attempts, {len(failed)} failed, {seconds:.0f} s of CPU")
+        options.report.write_text(json.dumps(summary(attempts, pairs, outcomes), indent=1), encoding="utf-8")
+    print(
+        f"{len(attempts)} attempts, {len(failed)} failed, {sum(one.seconds for one in attempts):.0f} s of CPU",
+        f"{outcomes['drawn']:,} scenarios drawn, a law holds for {outcomes['held']:,}",
+        sep="\n",
+    )
     print(f"{pairs['share']:.1%} of all pairs met")
     return int(bool(failed))
 
 
-def summary(attempts: list[Attempt], pairs: dict[str, Any]) -> dict[str, Any]:
-    """Return what was tried, what failed, and which pairs were met."""
+def summary(attempts: list[Attempt], pairs: dict[str, Any], outcomes: Counter[str]) -> dict[str, Any]:
+    """Return what was tried, what failed, what came of the scenarios, and which pairs were met."""
     tried = {
         name: {
             "attempts": sum(done.law == name for done in attempts),
@@ -60,8 +65,8 @@ def summary(attempts: list[Attempt], pairs: dict[str, Any]) -> dict[str, Any]:
         }
         for name in dict.fromkeys(done.law for done in attempts)
     }
-    seeds = sorted({done.seed for done in attempts})
-    return {"seeds": [seeds[0], seeds[-1]], "laws": tried, "pairs": pairs}
+    seeds = [min(done.seed for done in attempts), max(done.seed for done in attempts)]
+    return {"seeds": seeds, "laws": tried, "scenarios": outcomes, "pairs": pairs}
 
 
 def try_all(options: argparse.Namespace) -> list[Attempt]:

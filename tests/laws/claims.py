@@ -4,7 +4,7 @@ true in every simulated step."""
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -107,36 +107,27 @@ def probes_of(analysis: Analysis) -> list[Probe]:
     for expression in (*program.signals, *program.endings, *program.agent.reward):
         if expression.foreign is not None:
             continue
-        for node in evaluated(expression.typed):
+        for node in evaluated(expression.typed, typed_children):
             names = node.type.components or (None,)
             text = f"{expression.owner}: {expression.text[node.start : node.end]}"
             trees = analysis.lowered(node, expression.owner)
             for name, tree in zip(names, trees, strict=False):
                 add(tree, text, () if node.type.boolean else (node.type.interval_of(name),))
         for tree in analysis.scalars(expression):
-            for part in evaluated_parts(tree):
+            for part in evaluated(tree, children):
                 add(part, f"in {expression.owner}")
     return list(probes.values())
 
 
-def evaluated(node: TypedNode) -> Iterator[TypedNode]:
-    """Yield the parts of an expression that are computed in every step, whichever branch it takes."""
+def evaluated(node: Any, inner_of: Callable[[Any], Sequence[Any]]) -> Iterator[Any]:
+    """Yield the parts of an expression, or of a tree, that are computed in every step, whichever branch it
+    takes."""
     yield node
-    inner = typed_children(node)
-    if isinstance(node, Operation) and node.operator in ("where", "and", "or"):
+    inner = inner_of(node)
+    if getattr(node, "operator", getattr(node, "op", None)) in ("where", "and", "or"):
         inner = inner[:1]
     for part in inner:
-        yield from evaluated(part)
-
-
-def evaluated_parts(tree: Scalar) -> Iterator[Scalar]:
-    """Yield the parts of a tree that are computed in every step, whichever branch it takes."""
-    yield tree
-    inner = children(tree)
-    if isinstance(tree, Op) and tree.op in ("where", "and", "or"):
-        inner = inner[:1]
-    for part in inner:
-        yield from evaluated_parts(part)
+        yield from evaluated(part, inner_of)
 
 
 def with_probes(program: Program, probes: Sequence[Probe]) -> Program:

@@ -10,6 +10,7 @@ import copy
 import tempfile
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -34,6 +35,11 @@ from tests.laws.scenarios import EVERY, Drawn, Profile, as_text, scenarios
 # A scenario has 200 draws: by default, Hypothesis shrinks a failure for five minutes. There is no setting.
 engine.MAX_SHRINKING_SECONDS = 60
 SHOW = "python -m tests.laws {name} --seed {seed}"
+
+
+OUTCOMES: Counter[str] = Counter()
+"""How many scenarios an attempt has drawn, and for how many of them the law holds. The law says nothing of
+the others: `lint` refuses them, or they cannot be played."""
 
 
 @dataclass
@@ -129,11 +135,13 @@ class Law:
         @given(st.data())
         def try_all(data: st.DataObject) -> None:
             scenario = drawn or data.draw(scenarios(self.profile), label=self.name)
+            OUTCOMES["drawn"] += 1
             with tempfile.TemporaryDirectory() as folder:
                 draws.clear()
                 failing[:] = [scenario]
                 self.check(Case(scenario, recording(data.draw, draws), Path(folder)))
                 failing.clear()
+            OUTCOMES["held"] += 1
             met.update(pairs_of(scenario.data))
 
         try:
@@ -202,27 +210,29 @@ def law(
 
 
 class Attempt(NamedTuple):
-    """One law on the scenarios of one seed, and the pairs that these had; `failure` is empty where it
-    holds."""
+    """One law on the scenarios of one seed, the pairs that these had, and their `OUTCOMES`; `failure` is empty
+    where it holds."""
 
     law: str
     seed: int
     seconds: float
     failure: str
     met: list[Pair]
+    outcomes: Counter[str]
 
 
 def attempt(name: str, seed: int, examples: int) -> Attempt:
     """Try a law, and return what came of it, with the CPU time."""
     import tests.laws  # enters all laws, in a process of its own
 
+    OUTCOMES.clear()
     begin = time.process_time()
     failure, met = "", set()
     try:
         met = tests.laws.LAWS[name].try_on(seed, examples)
     except Exception as error:  # noqa: BLE001 - whatever a law meets is its result
         failure = "".join(traceback.format_exception(error, limit=-8))
-    return Attempt(name, seed, time.process_time() - begin, failure, sorted(met))
+    return Attempt(name, seed, time.process_time() - begin, failure, sorted(met), Counter(OUTCOMES))
 
 
 # Episodes
