@@ -191,9 +191,8 @@ def _bracket_behind_colon(problem: _Problem) -> Finding | None:
     signs = problem.source.text[problem.at : problem.at + 2]
     if key is None or signs not in (":{", ":["):
         return None
-    behind = Span(problem.source, problem.at + 1, problem.at + 1)
     help = f"write a space behind the colon: `{key[0]}: {signs[1]}`"
-    fix = Fix((Edit(behind, " "),), safe=False)
+    fix = Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 1), " "),), safe=False)
     return problem.finding(f"a space is missing before this `{signs[1]}`", help, problem.at + 1, fix=fix)
 
 
@@ -202,9 +201,12 @@ def _exclamation_mark(problem: _Problem) -> Finding | None:
     match = re.search(_NEGATED, problem.before)
     if match is None:
         return None
-    headline = "`!` does not negate: YAML reads it as the beginning of a tag"
-    help = "write `not` to negate a condition"
-    return problem.finding(headline, help, problem.line_start + match.end() - 2, 2)
+    return problem.finding(
+        "`!` does not negate: YAML reads it as the beginning of a tag",
+        "write `not` to negate a condition",
+        problem.line_start + match.end() - 2,
+        2,
+    )
 
 
 def _bracket_behind_key(problem: _Problem) -> Finding | None:
@@ -522,6 +524,9 @@ def _behind_value(problem: _Problem) -> Finding | None:
         return None
     at, before, text_behind = problem.at, problem.before.rstrip(), problem.rest_of_line(problem.at)
     length = max(1, len(text_behind))
+    if before.strip() and re.fullmatch(r"[}\],; ]+", text_behind):
+        fix = Fix((Edit(Span(problem.source, at, at + length), ""),), safe=False)
+        return problem.finding(f"`{text_behind}` after the end of a value", "remove it", at, length, fix)
     if before.strip() and (before[-1] in "]}\"'" or not text_behind.startswith(("}", "]", ":"))):
         key = re.match(_KEY, problem.before)
         whole = problem.rest_of_line(

@@ -91,6 +91,9 @@ def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int)
         "world: {timestep: 32 ms, substeps: 4",
         "      pole_angle: {type: joint_position joint: pole_hinge}",
         "  drive: {choices: {forward: 1 backward: -1}}",
+        # A comma or a brace too many.
+        "world: {timestep: 32 ms, substeps: 4},",
+        "world: {timestep: 32 ms, substeps: 4}}",
         # A colon is missing in braces.
         "world: {timestep 32 ms, substeps: 4}",
         # No space behind the colon of the first key of a section.
