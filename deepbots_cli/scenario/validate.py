@@ -299,12 +299,18 @@ def _typing_hint(
     node: Node, data: object, path: NodePath, *, takes_mapping: bool
 ) -> tuple[str, Replacement | None] | None:
     """Return help and replacement for a typing error that the form of a wrong value shows."""
+    # A mapping on the line of its key needs braces.
+    form = "{{{}}}" if node.span.source.text[: node.span.start].rpartition("\n")[2].strip(" -") else "{}"
     match node:
         case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
-            replacement = Replacement(f"{glued[1]}: {glued[2]}", safe=False)
+            replacement = Replacement(form.format(f"{glued[1]}: {glued[2]}"), safe=False)
             return f"put a space after the colon: `{replacement.text[:60]}`", replacement
-        case ScalarNode(style="plain", text=text) if takes_mapping and (corrected := missing_colon(text)):
-            replacement = Replacement(corrected[1], safe=False)
+        case ScalarNode(style="plain", text=text) if (
+            takes_mapping
+            and (corrected := missing_colon(text))
+            and (form == "{}" or not corrected[1].endswith(":"))
+        ):
+            replacement = Replacement(form.format(corrected[1]), safe=False)
             return f"write a colon after the key: `{replacement.text[:60]}`", replacement
         case ScalarNode(style="plain", text=text) if text.endswith(",") and (bare := text.rstrip(", ")):
             return f"remove the comma at the end of the line: `{bare[:60]}`", Replacement(bare, safe=True)
@@ -331,8 +337,9 @@ def _is_follow_up(root: nodes.MappingNode, problem: _Problem) -> bool:
     if not isinstance(node, nodes.MappingNode) or not node.partial:
         return False
     empty = {key.text.partition(":")[0] for key in node.keys_without_value}
-    is_missing = problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
-    return is_missing or problem.finding.code == "DB107"
+    return problem.finding.code == "DB107" or (
+        problem.finding.code == "DB102" and (not empty or not empty.isdisjoint(problem.missing))
+    )
 
 
 def _is_misspelled(problem: _Problem, problems: list[_Problem]) -> bool:

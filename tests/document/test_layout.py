@@ -156,6 +156,19 @@ def test_a_mistake_at_the_border_of_two_values_is_named_and_corrected(
     assert (finding.headline, _corrected(text.replace(right, wrong))) == (headline, text)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "right"), [("color red", "{color: red}"), ("color:red", "{color: red}"), ("none", "none")]
+)
+def test_a_word_in_place_of_a_mapping_does_not_become_a_second_key_of_its_line(
+    wrong: str, right: str
+) -> None:
+    text = TEXT.replace("world: {", f"world: {{ground: {wrong}, ")
+    (finding,) = (each for each in findings_of(text) if each.severity == "error")
+    fix = finding.fix.edits if finding.fix is not None else ()
+    assert edited(finding.span.source, fix) == text.replace(f"ground: {wrong}", f"ground: {right}")
+    assert "none:" not in (finding.help or "")
+
+
 def test_a_comparison_and_text_on_several_lines_are_right() -> None:
     text = TEXT.replace("> fall_angle", "== fall_angle").replace("< 1 deg", "<= 1 deg")
     text = text.replace("name: Mine\n", "name: Mine\nsummary: A pole\n  that stands\n")
