@@ -63,9 +63,9 @@ def falls_without_end(context: RuleContext) -> Iterator[Match]:
         if any(isinstance(actuator, (Thrust, CustomActuator)) for actuator in robot.actuators)
     }
     for body in program.world.robots:
-        if body.fixed_base or body.name in lifted or any(link.collisions for link in body.model.links):
-            continue
-        yield Match(values.span_of_first(("robots", body.name), "base", "urdf"), robot=body.name)
+        is_held = body.fixed_base or body.name in lifted or not any(program.world.gravity)
+        if not is_held and not any(link.collisions for link in body.model.links):
+            yield Match(values.span_of_first(("robots", body.name), "base", "urdf"), robot=body.name)
 
 
 @rule("DB316")
