@@ -174,8 +174,7 @@ class Panel:
         self._playback = playback
         self._queue = queue
         self._embedded = embedded
-        worlds = playback.worlds
-        player = playback.worlds[0].player
+        worlds, player = playback.worlds, playback.worlds[0].player
         self._agents = {
             f"{world.title}: {name}" if world.title else name: ChosenAgent(number, name)
             for number, world in enumerate(worlds)
@@ -188,7 +187,7 @@ class Panel:
         self._add_time(player)
         tabs: dict[str, Callable[[], Any]] = {
             "Values": partial(gui.add_html, ""),
-            "Plots": partial(PlotsTab, gui, worlds, self._agent, queue),
+            "Plots": self._add_plots,
         }
         if not isinstance(player, ReplayPlayer) and not embedded:
             drive = {"Drive": partial(add_drive, gui, playback, queue)}
@@ -199,8 +198,9 @@ class Panel:
         tabs["Show"] = self._add_show
         group = gui.add_tab_group()
         contents = {}
+        self._tabs: dict[str, Any] = {}
         for title, add in tabs.items():
-            with group.add_tab(title):
+            with group.add_tab(title) as self._tabs[title]:
                 contents[title] = add()
         self.values: Any = contents["Values"]
         self.plots: PlotsTab = contents["Plots"]
@@ -215,9 +215,7 @@ class Panel:
             self._camera_folder = gui.add_folder("Cameras")
 
     def _add_time(self, player: Player) -> None:
-        gui = self._gui
-        playback = self._playback
-        queue = self._queue
+        gui, playback, queue = self._gui, self._playback, self._queue
         acts = {
             "pause": lambda: playback.play(playback.paused),
             "continue": lambda: playback.play(True),
@@ -270,8 +268,16 @@ class Panel:
                 add_drive(gui, self._playback, self._queue)
         return tab
 
+    def _add_plots(self) -> PlotsTab:
+        with self._gui.add_folder(None) as self._plots_folder:
+            return PlotsTab(self._gui, self._playback.worlds, self._agent, self._queue)
+
     def _show_agent(self, name: str) -> None:
-        self._agent = self._agents[name]
+        before, self._agent = self._agent, self._agents[name]
+        if before.world != self._agent.world:  # the scenarios of two worlds may have other values
+            self._plots_folder.remove()
+            with self._tabs["Plots"]:
+                self.plots = self._add_plots()
 
     def _scrub(self, event: Any) -> None:
         if event.client_id is not None:  # the page itself also moves the slider
@@ -311,21 +317,19 @@ class Panel:
         player = playback.worlds[agent.world].player
         layout = player.reader.layout
         frame = player.frame
-        other_agents = frame.agents.keys() - {agent.name}
-        rows = [
-            *agent_rows(layout, frame.agents[agent.name]),
-            *message_rows(layout, frame, other_agents),
-        ]
-        self.values.content = table(rows)
+        self.values.content = table(
+            [
+                *agent_rows(layout, frame.agents[agent.name]),
+                *message_rows(layout, frame, frame.agents.keys() - {agent.name}),
+            ]
+        )
         if self.slider is not None:
             self.slider.value = min(player.frame.step, self.slider.max)
 
     def _state(self, number: int) -> str:
         """Return the notice with the state of a world."""
-        playback = self._playback
-        world = self._playback.worlds[number]
-        player = world.player
-        frame = world.player.frame
+        playback, world = self._playback, self._playback.worlds[number]
+        player, frame = world.player, world.player.frame
         agent = self._agent.of(frame)
         running = "press a key to begin" if playback.waiting else "running"
         state = frame.ending or ("paused" if playback.paused else running)
@@ -457,9 +461,12 @@ class PlotsTab:
             margin = 0.03 * (limits[1] - limits[0]) or 1.0
             scales["y"] = {"range": (limits[0] - margin, limits[1] + margin)}
         series: Any = ({"label": "step"}, *lines)
-        room = (12, 8, 0, 0)  # px; above, for the uppermost number
         handle = self._gui.add_uplot(
-            (np.zeros(1),) * len(series), series, scales=scales, height=height, padding=room
+            (np.zeros(1),) * len(series),
+            series,
+            scales=scales,
+            height=height,
+            padding=(12, 8, 0, 0),  # px; above, for the uppermost number
         )
         return Plot(handle, values, worlds)
 

@@ -602,6 +602,21 @@ def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
         assert "B: cartpole" in page.banner.content
 
 
+def test_the_plots_are_those_of_the_scenario_whose_robot_is_chosen():
+    with closing(Page(Showing("line_follower"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
+
+        def control(label: str):
+            handles = page.server.gui._gui_input_handle_from_uuid.values()
+            return next(handle for handle in handles if handle.label == label)
+
+        assert "rover.ground" in control("field").options
+        control("field").value = "action: turn"
+        control("robot").value = "B: cartpole: agent"
+        _run(page, lambda: "rover.ground" not in control("field").options)
+        assert "x" in control("field").options
+        page.panel.update()
+
+
 def test_a_page_shows_one_world_of_a_batch_after_another():
     batch = Showing("cartpole", engine="mujoco", worlds=4)
     with (
