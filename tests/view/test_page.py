@@ -103,6 +103,11 @@ def _run(page, until, seconds=30.0):
     assert until()
 
 
+def _control(page, label):
+    handles = page.server.gui._gui_input_handle_from_uuid.values()
+    return next(handle for handle in handles if handle.label == label)
+
+
 @pytest.mark.parametrize(("goal", "color"), [(5, "#009E73"), (6, "#808080")])
 def test_an_episode_that_reaches_the_return_of_a_solved_task_is_green(tmp_path, goal, color):
     path = tmp_path / "mine.yaml"
@@ -604,16 +609,9 @@ def test_two_worlds_begin_alike_and_go_on_until_both_have_ended():
 
 def test_the_plots_are_those_of_the_scenario_whose_robot_is_chosen():
     with closing(Page(Showing("line_follower"), compare=Showing("cartpole"), port=0, driver="zero")) as page:
-
-        def control(label: str):
-            handles = page.server.gui._gui_input_handle_from_uuid.values()
-            return next(handle for handle in handles if handle.label == label)
-
-        assert "rover.ground" in control("field").options
-        control("field").value = "action: turn"
-        control("robot").value = "B: cartpole: agent"
-        _run(page, lambda: "rover.ground" not in control("field").options)
-        assert "x" in control("field").options
+        _control(page, "field").value = "action: turn"
+        _control(page, "robot").value = "B: cartpole: agent"
+        _run(page, lambda: "x" in _control(page, "field").options)
         page.panel.update()
 
 
@@ -668,15 +666,10 @@ def test_a_slider_begins_at_the_value_that_was_saved(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CARTPOLE)
     with closing(Page(Showing(str(file)), port=0)) as page:
-
-        def fall_angle() -> float:
-            handles = page.server.gui._gui_input_handle_from_uuid.values()
-            return next(handle.value for handle in handles if handle.label == "fall_angle (deg)")
-
-        assert fall_angle() == 15.0
+        assert _control(page, "fall_angle (deg)").value == 15.0
         file.write_text(CARTPOLE.replace("15 deg", "12 deg", 1))
         page.reload()
-        assert fall_angle() == 12.0
+        assert _control(page, "fall_angle (deg)").value == 12.0
 
 
 def test_messages_are_shown_with_their_age():
