@@ -20,6 +20,7 @@ from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import EngineError, MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.files import Stamps, file_stamps, recorded_reads
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.records import RunRecord
@@ -46,6 +47,7 @@ from deepbots_cli.runtime.batch_parts import BatchChannel, columns_array
 from deepbots_cli.runtime.paths import Ways
 from deepbots_cli.runtime.spaces import apply_to_parts, joined
 from deepbots_cli.runtime.streams import derive_seed
+from deepbots_cli.scenario.quantities import Quantity
 from deepbots_cli.view.frames import (
     AgentFrame,
     FrameReader,
@@ -112,11 +114,25 @@ class Showing:
         parameters = (
             {name: str(value) for name, value in checked.spec.parameters.items()} if checked.spec else {}
         )
+        whole = frozenset(
+            name
+            for reading in (checked.namespace.values.readings if checked.namespace else ())
+            if isinstance(reading.text.kind, Quantity) and reading.text.kind.whole
+            for tree in reading.trees
+            for name in referenced_names(tree)
+        )
         variant = compiled.program.variant(self.case, self.stage)
         if run is not None and run.program.members and variant.others is not None:
             run = run.of_agent(variant.others.agent)
         return ShowingState(
-            variant, compiled.findings, {}, showing, run, compiled=compiled, parameters=parameters
+            variant,
+            compiled.findings,
+            {},
+            showing,
+            run,
+            compiled=compiled,
+            parameters=parameters,
+            whole_parameters=whole,
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
@@ -163,6 +179,8 @@ class ShowingState:
     compiled: api.Compiled | None = None
     parameters: Mapping[str, str] = field(default_factory=dict)
     """The parameters of a scenario as they are written."""
+    whole_parameters: frozenset[str] = frozenset()
+    """Those of numbers that have to be whole, such as a `count`."""
 
     @property
     def drivers(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import math
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.runtime.overview import follows_robot
-from deepbots_cli.view.episodes import Player
+from deepbots_cli.view.episodes import Player, ShowingState
 from deepbots_cli.view.frames import COLORS, AgentFrame, FrameLayout, Image, PlottedField, WorldFrame
 from deepbots_cli.view.playback import MAX_RECORDINGS, Playback, ShownWorld
 from deepbots_cli.view.replay import ReplayPlayer
@@ -127,10 +127,12 @@ def _bar(field: PlottedField, value: float) -> str:
 
 _MAX_SERIES = 8
 _TIME_BUTTONS = ("pause", "step", "reset", "next")
+_UNIT = r"[a-zA-Z]+(?:\^-?\d+)?"
 _NUMBER_WITH_UNIT = re.compile(
-    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\s+(.*)|(%|[a-zA-Z].*)?)\s*"
+    r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"
+    rf"\s*(%|(?:1? ?/ ?)?{_UNIT}(?: ?[*/] ?{_UNIT})*|)\s*"
 )
-"""Matches `0.5`, `15 deg`, `80%`; groups: number, unit after a blank, unit without one."""
+"""Matches `0.5`, `15 deg`, `80%`, and no vector or sum; groups: number, unit."""
 
 PlottedValue = Callable[[AgentFrame], float]
 """Reads the number to plot from the frame of an agent."""
@@ -194,7 +196,7 @@ class Panel:
             tabs = drive | tabs if playback.by_hand else tabs | drive
         # A recording has fixed parameters.
         if player.opened.parameters and len(worlds) == 1 and playback.driven is None:
-            tabs["Parameters"] = partial(add_parameters, gui, player.opened.parameters, on_parameter)
+            tabs["Parameters"] = partial(add_parameters, gui, player.opened, on_parameter)
         tabs["Show"] = self._add_show
         group = gui.add_tab_group()
         contents = {}
@@ -532,27 +534,23 @@ def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
     gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=dark, brand_color=(26, 107, 176))
 
 
-def add_parameters(
-    gui: viser.GuiApi, parameters: Mapping[str, str], on_change: Callable[[str, str], None]
-) -> None:
-    """Add a slider for each number, and a text for each other value."""
-    for name, text in parameters.items():
+def add_parameters(gui: viser.GuiApi, opened: ShowingState, on_change: Callable[[str, str], None]) -> None:
+    """Add a slider for each number, in whole steps where it has to be whole, and a text for each other
+    value."""
+    for name, text in opened.parameters.items():
         number = _NUMBER_WITH_UNIT.fullmatch(text)
         if number is None:
-            box = gui.add_text(name, text)
-            box.on_update(lambda event, n=name: on_change(n, event.target.value))
+            gui.add_text(name, text).on_update(lambda event, n=name: on_change(n, event.target.value))
             continue
-        value = float(number[1])
-        unit = number[2] or number[3] or ""
-        low, high = sorted((0.0, 2 * value)) if value else (-1.0, 1.0)
-        slider = gui.add_slider(
+        value, unit, is_whole = float(number[1]), number[2], name in opened.whole_parameters
+        low, high = sorted((0.0, 2 * value)) if value else (is_whole - 1.0, 1.0)
+        gui.add_slider(
             f"{name} ({unit})" if unit else name,
             min=low,
             max=high,
-            step=(high - low) / 200,
+            step=1.0 if is_whole else (high - low) / 200,
             initial_value=value,
-        )
-        slider.on_update(lambda event, n=name, u=unit: on_change(n, f"{event.target.value:.6g} {u}".strip()))
+        ).on_update(lambda event, n=name, u=unit: on_change(n, f"{event.target.value:.6g} {u}".strip()))
     gui.add_html(hint("A change restarts the episode with the new value and the same seed."))
 
 
@@ -566,21 +564,20 @@ def add_drive(gui: viser.GuiApi, playback: Playback, queue: Queue) -> None:
 
     gui.add_html(hint(f"Keys: {hand.help()}. A gamepad works too."))
     if playback.by_hand and playback.driven is None:
-        keep = gui.add_button(
+        gui.add_button(
             "record this episode",
             hint="write the episode so far as a recording (.mcap) into the current folder",
-        )
-        keep.on_click(lambda event: queue(lambda: _record(playback, event.client)))
+        ).on_click(lambda event: queue(lambda: _record(playback, event.client)))
     for field in playback.worlds[0].player.reader.layout.action:
         if field.options:
-            group = gui.add_button_group(field.name, field.options)
-            group.on_click(lambda event, f=field: command(f.name, f.options.index(event.target.value)))
+            gui.add_button_group(field.name, field.options).on_click(
+                lambda event, f=field: command(f.name, f.options.index(event.target.value))
+            )
         else:
             low, high, value = map(field.to_shown, (field.low, field.high, hand.base_values[field.name]))
-            slider = gui.add_slider(
+            gui.add_slider(
                 field.label, min=low, max=high, step=(high - low) / 200, initial_value=value
-            )
-            slider.on_update(lambda event, f=field: command(f.name, f.from_shown(event.target.value)))
+            ).on_update(lambda event, f=field: command(f.name, f.from_shown(event.target.value)))
     for name, bindings in list(hand.bindings.items())[:2]:
         for keys, sign in ((bindings[0].positive_keys, "+"), (bindings[0].negative_keys, "−")):
             gui.add_button(f"press and hold: {name} {sign}").on_hold(

@@ -672,6 +672,13 @@ def test_a_slider_begins_at_the_value_that_was_saved(tmp_path):
         assert _control(page, "fall_angle (deg)").value == 12.0
 
 
+def test_a_parameter_that_has_to_be_whole_has_whole_steps_and_a_vector_no_slider():
+    with closing(Page(Showing("find_and_avoid"), port=0)) as page:
+        assert _control(page, "obstacles").step == 1.0
+    with closing(Page(Showing("quadrotor"), port=0)) as page:
+        assert _control(page, "home").value == "0 0 1 m"
+
+
 def test_messages_are_shown_with_their_age():
     with closing(Page(Showing("cartpole_wireless"), port=0)) as page:
         page.playback.step_once()
