@@ -25,6 +25,7 @@ _QUOTE_HELP = "put the whole value in quotes, or after `|` on a line of its own"
 _NO_KEY = "a line without a key"
 _KEY = r"\s*(?:- +)*[^\s:#]+: +"
 _LINE_KEY = r"([^\s:#]+):(?=\s|$)"
+_NEXT_KEY = r"\n[ \t]*(?:- +)*[\w.]+:(?=\s)"
 _TAB_INDENT = r"[ ]*\t"
 _INDENT = r"[ \t]*"
 _NEGATED = r"[:,{\[][ \t]+!\("
@@ -175,9 +176,7 @@ def _tab(problem: _Problem) -> Finding | None:
         if match := re.compile(_TAB_INDENT).match(text, start):
             above = problem.line_above(start)
             line = problem.rest_of_line(start).strip()[:MAX_SHOWN]
-            spaces = ""
-            if above is not None:
-                spaces = " " * (above.indent + 2 if above.opens else above.indent)
+            spaces = "" if above is None else " " * (above.indent + _STEP * above.opens)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
             indent = re.compile(_INDENT).match(text, start)
             fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
@@ -243,14 +242,24 @@ def _leading_sign(problem: _Problem) -> Finding | None:
 
 
 def _quote(problem: _Problem) -> Finding | None:
-    if not problem.says("quoted scalar", "double-quoted"):
-        return None
-    if "escape" in problem.problem:
+    is_open = problem.says("quoted scalar", "double-quoted")
+    if is_open and "escape" in problem.problem:
         at = problem.source.text.rfind("\\", problem.since, problem.at + 1)
         return problem.finding(
             "an unknown escape in double quotes", "use single quotes, or double the backslash", at, 2
         )
-    return problem.finding("this quote is not closed", "close it on the same line", problem.since)
+    opening = problem.since if is_open else _quote_across_keys(problem)
+    if opening is None:
+        return None
+    return problem.finding("this quote is not closed", "close it on the same line", opening)
+
+
+def _quote_across_keys(problem: _Problem) -> int | None:
+    """Return the offset of the quoted text that ends right before the error if it has keys of further lines:
+    the quote at its end begins another text."""
+    before = problem.source.text[: problem.at].rstrip()
+    opening = before.rfind(before[-1], 0, -1) if before.endswith(("'", '"')) else -1
+    return opening if opening >= 0 and re.compile(_NEXT_KEY).search(before, opening) else None
 
 
 def _brackets(problem: _Problem) -> Finding | None:
@@ -301,8 +310,7 @@ def _brackets(problem: _Problem) -> Finding | None:
 def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     """Report the comma that `{a: 1 b: 2}` lacks before its last key, if the text can be read with it."""
     text = problem.source.text
-    end = text.find("\n", problem.at)
-    end = len(text) if end < 0 else end
+    end = f"{text}\n".find("\n", problem.at)
     gaps = [
         gap.start() for gap in re.compile(_NEXT_PAIR).finditer(text, opening, end) if gap.end() <= problem.at
     ]
@@ -312,9 +320,10 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
         return None
     at = gaps[-1]
     start = max(opening, text.rfind(",", opening, at) + 1)
-    corrected = " ".join(f"{text[start:at].strip()},{problem.rest_of_line(at)}".split())
+    end = len(text[:at].rstrip(";"))  # before a semicolon in place of the comma
+    corrected = " ".join(f"{text[start:end].strip()},{problem.rest_of_line(at)}".split())
     help = f"separate keys by commas: `{corrected[:MAX_SHOWN]}`, or put the value in quotes"
-    fix = Fix((Edit(Span(problem.source, at, at), ","),), safe=False)
+    fix = Fix((Edit(Span(problem.source, end, at), ","),), safe=False)
     return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
 
 
@@ -432,14 +441,12 @@ def _value_and_block(problem: _Problem, above: _Line) -> Finding | None:
     line = problem.rest_of_line(above.start)
     value = above.start + line.index(":", above.indent + len(above.key)) + 1
     end = above.start + len(line)
-    fix = Fix((Edit(Span(problem.source, value, end), ""),), safe=False)
-    help = f"a key has either a value or an indented block of keys; write `{above.key}:`"
     return problem.finding(
         f"{above.name} has a value, and a block below it",
-        help,
+        f"a key has either a value or an indented block of keys; write `{above.key}:`",
         above.start + above.indent,
         len(above.key),
-        fix,
+        Fix((Edit(Span(problem.source, value, end), ""),), safe=False),
     )
 
 
@@ -454,11 +461,14 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
         return None
     value = problem.rest_of_line(above.start).strip()[:MAX_SHOWN]
     word = "below" if is_first else "like"
-    headline = f"{above.name} is not indented {word} {holder.name}, but the next line is"
-    help = f"indent it like the line below: `{' ' * line.indent}{value}`"
-    fix = _indented(problem, above.start, above.indent, line.indent)
-    labels = (problem.label(line, _indented_by(line.indent)),)
-    return problem.finding(headline, help, above.start + above.indent, len(above.key), fix, labels)
+    return problem.finding(
+        f"{above.name} is not indented {word} {holder.name}, but the next line is",
+        f"indent it like the line below: `{' ' * line.indent}{value}`",
+        above.start + above.indent,
+        len(above.key),
+        _indented(problem, above.start, above.indent, line.indent),
+        (problem.label(line, _indented_by(line.indent)),),
+    )
 
 
 def _is_first(problem: _Problem, line: _Line) -> bool:

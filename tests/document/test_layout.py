@@ -138,6 +138,7 @@ def _letters(line: str) -> str:
     [
         (COMMAS, "-1}, extra", "-1} extra", "a comma is missing before this key"),
         (COMMAS, "ms,\n", "ms\n", "a comma is missing before this key"),
+        (TEXT, "ms, sub", "ms; sub", "a comma is missing before this key"),
         (BLOCK, "\nworld:\n", "\nworld: +\n", "`world` has a value, and a block below it"),
         (
             BLOCK,
