@@ -80,7 +80,7 @@ class KeyCount:
         elif len(present) < self.min:
             names = " or ".join(f"`{name}`" for name in self.names)
             yield InitErrorDetails(
-                type=error("DB102", f"missing key {names}", "write one of the two", missing=self.names),
+                type=error("DB102", f"missing key {names}", "write one of them", missing=self.names),
                 input=data,
             )
 
