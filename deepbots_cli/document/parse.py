@@ -290,7 +290,7 @@ class _Builder:
         key = self.scalar(event)
         if self.anchored(event, key) is None:
             return None
-        if syntax_hints.report_missing_colon(key, self.findings):
+        if syntax_hints.report_broken_key(key, self.findings):
             return None
         if key.style == "plain" and key.text == "<<":
             help = "use `extends` for a whole file, or `include` for a part of one"

@@ -26,6 +26,7 @@ _NO_KEY = "a line without a key"
 _KEY = r"\s*(?:- +)*[^\s:#]+: +"
 _LINE_KEY = r"([^\s:#]+):(?=\s|$)"
 _NEXT_KEY = r"\n[ \t]*(?:- +)*[\w.]+:(?=\s)"
+_ODD_SPACE = r"[\u00a0\u2000-\u200a\u202f\u3000]"
 _TAB_INDENT = r"[ ]*\t"
 _INDENT = r"[ \t]*"
 _NEGATED = r"[:,{\[][ \t]+!\("
@@ -484,17 +485,24 @@ def missing_colon(line: str) -> tuple[str, str] | None:
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
 
 
-def report_missing_colon(key: ScalarNode, findings: Findings) -> bool:
-    """Report `key {a: 1}`, in which `key {a` is read as a key; return whether it is reported."""
+def report_broken_key(key: ScalarNode, findings: Findings) -> bool:
+    """Report `key {a: 1}`, in which `key {a` is read as a key, and a key with a non-breaking space, such as
+    that of a copied indentation; return whether it is reported."""
+    if key.style == "plain" and (spaces := re.sub(_ODD_SPACE, " ", key.text)) != key.text:
+        fix = Fix.replacing(key.span, key.text, spaces, safe=False)
+        findings.add("DB001", key.span, "a non-breaking space", "replace it by an ordinary space", fix=fix)
+        return True
     if key.style != "plain" or not _NO_COLON_BEFORE_BRACKET.match(key.text):
         return False
     name = key.text.split()[0]
-    text = key.span.source.text
-    end = text.find("\n", key.span.end)
-    value = text[key.span.start + len(name) : end if end >= 0 else len(text)].strip()
-    help = f"write a colon after the key: `{name}: {value[:MAX_SHOWN]}`"
-    fix = Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False)
-    findings.add("DB001", key.span, _NO_KEY, help, fix=fix)
+    value = key.span.source.text[key.span.start + len(name) :].partition("\n")[0].strip()
+    findings.add(
+        "DB001",
+        key.span,
+        _NO_KEY,
+        f"write a colon after the key: `{name}: {value[:MAX_SHOWN]}`",
+        fix=Fix.replacing(key.part(0, len(name)), name, f"{name}:", safe=False),
+    )
     return True
 
 

@@ -302,7 +302,9 @@ def _typing_hint(
     # A mapping on the line of its key needs braces.
     form = "{{{}}}" if node.span.source.text[: node.span.start].rpartition("\n")[2].strip(" -") else "{}"
     match node:
-        case ScalarNode(style="plain", text=text) if glued := re.fullmatch(r"([A-Za-z_]\w*):(\S.*)", text):
+        case ScalarNode(style="plain", text=text) if glued := re.fullmatch(
+            r"([A-Za-z_]\w*):[^\S ]*(\S.*)", text
+        ):
             replacement = Replacement(form.format(f"{glued[1]}: {glued[2]}"), safe=False)
             return f"put a space after the colon: `{replacement.text[:60]}`", replacement
         case ScalarNode(style="plain", text=text) if (

@@ -100,6 +100,9 @@ def test_a_key_without_its_colon_is_found_in_its_line_and_corrected(number: int)
         # No space behind the colon of the first key of a section.
         "  fall_angle:15 deg  # the largest lean",
         "  alive:1",
+        # Non-breaking spaces of a copied text.
+        "\u00a0\u00a0alive: 1",
+        "world: {timestep:\u00a032 ms, substeps: 4}",
         # `=` in place of a colon.
         "name = Mine",
         "  fall_angle=15 deg  # the largest lean",
