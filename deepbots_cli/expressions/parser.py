@@ -637,6 +637,8 @@ _HINTS = {sign: _Hint(f"write `{text.strip()}`", text) for sign, text in _FOREIG
     "−": _Hint("write the plain minus `-`", "-"),
     "–": _Hint("write the plain minus `-`", "-"),
     "\u00a0": _Hint("this is a non-breaking space; replace it by an ordinary space", " "),
+    "\u202f": _Hint("this is a non-breaking space; replace it by an ordinary space", " "),
+    ";": _Hint("remove it: a line of a scenario ends without a sign", ""),
     "!": _Hint("write `not`"),
     "?": _CONDITIONAL,
     ":": _CONDITIONAL,
