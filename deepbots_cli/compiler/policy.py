@@ -829,7 +829,7 @@ class Decisions(NamespaceReader):
         )
         if always is None:
             headline = (
-                f"the script may choose no option of `{part.name}`: none of its conditions is always true"
+                f"{self._called} may choose no option of `{part.name}`: none of its conditions is always true"
             )
             self._values.add_at_key(
                 "DB102", path, headline, f"make the last condition true: `{branches[-1][0]}: true`"
