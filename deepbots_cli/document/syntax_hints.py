@@ -258,7 +258,7 @@ def _quote(problem: _Problem) -> Finding | None:
 def _quote_across_keys(problem: _Problem) -> int | None:
     """Return the offset of the quoted text that ends right before the error if it has keys of further lines:
     the quote at its end begins another text."""
-    before = problem.source.text[: problem.at].rstrip()
+    before = problem.source.text[: problem.at].rstrip(" ")
     opening = before.rfind(before[-1], 0, -1) if before.endswith(("'", '"')) else -1
     return opening if opening >= 0 and re.compile(_NEXT_KEY).search(before, opening) else None
 
