@@ -76,8 +76,15 @@ def parse(
     """
     text = source.text if text is None else text
     if directive := _TAG_DIRECTIVE.search(text):
-        help = "remove it, or put it in quotes if it belongs to a text"
-        findings.add("DB001", Span(source, *directive.span()), "a line cannot start with `%`", help)
+        findings.add(
+            "DB001",
+            Span(source, *directive.span()),
+            "a line cannot start with `%`",
+            "remove it, or put it in quotes if it belongs to a text",
+        )
+        return None
+    if finding := syntax_hints.odd_indentation(source):
+        findings.append(finding)
         return None
     noticed = Findings(findings.limit)
     broken: Finding | None = None

@@ -27,6 +27,7 @@ _KEY = r"\s*(?:- +)*[^\s:#]+: +"
 _LINE_KEY = r"([^\s:#]+):(?=\s|$)"
 _NEXT_KEY = r"\n[ \t]*(?:- +)*[\w.]+:(?=\s)"
 _ODD_SPACE = r"[\u00a0\u2000-\u200a\u202f\u3000]"
+_ODD_INDENT = rf"(?m)^ *{_ODD_SPACE}(?: |{_ODD_SPACE})*(?=- |#|[\w.\"']+:)"
 _TAB_INDENT = r"[ ]*\t"
 _INDENT = r"[ \t]*"
 _NEGATED = r"[:,{\[][ \t]+!\("
@@ -191,9 +192,12 @@ def _bracket_behind_colon(problem: _Problem) -> Finding | None:
     signs = problem.source.text[problem.at : problem.at + 2]
     if key is None or signs not in (":{", ":["):
         return None
-    help = f"write a space behind the colon: `{key[0]}: {signs[1]}`"
-    fix = Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 1), " "),), safe=False)
-    return problem.finding(f"a space is missing before this `{signs[1]}`", help, problem.at + 1, fix=fix)
+    return problem.finding(
+        f"a space is missing before this `{signs[1]}`",
+        f"write a space behind the colon: `{key[0]}: {signs[1]}`",
+        problem.at + 1,
+        fix=Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 1), " "),), safe=False),
+    )
 
 
 def _exclamation_mark(problem: _Problem) -> Finding | None:
@@ -273,8 +277,12 @@ def _brackets(problem: _Problem) -> Finding | None:
             return None
     hidden = re.compile(_HIDDEN_IN_BRACKETS).search(text, opening, problem.at)
     if hidden and hidden[1].count("#") == 1:
-        help = f'put the value in quotes: "{hidden[1]}"'
-        return problem.finding("a `#` after a space begins a comment", help, hidden.start(1), len(hidden[1]))
+        return problem.finding(
+            "a `#` after a space begins a comment",
+            f'put the value in quotes: "{hidden[1]}"',
+            hidden.start(1),
+            len(hidden[1]),
+        )
     character = text[problem.at : problem.at + 1]
     if text.startswith("- ", problem.at) and opening >= problem.line_start:
         space = Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 2), ""),), safe=False)
@@ -296,9 +304,12 @@ def _brackets(problem: _Problem) -> Finding | None:
             return finding
         closing = _CLOSING[text[opening]]
         if is_readable(f"{text[: problem.at]}{closing}{text[problem.at + 1 :]}", problem.at):
-            headline, help = f"`{character}` closes a `{text[opening]}`", f"write `{closing}`"
-            span = Span(problem.source, problem.at, problem.at + 1)
-            return problem.finding(headline, help, problem.at, fix=Fix((Edit(span, closing),), safe=False))
+            return problem.finding(
+                f"`{character}` closes a `{text[opening]}`",
+                f"write `{closing}`",
+                problem.at,
+                fix=Fix((Edit(Span(problem.source, problem.at, problem.at + 1), closing),), safe=False),
+            )
         help = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
         return problem.finding(f"this `{character}` closes no bracket", help, problem.at)
     return missing or problem.finding(
@@ -324,8 +335,12 @@ def _missing_comma(problem: _Problem, opening: int) -> Finding | None:
     end = len(text[:at].rstrip(";"))  # before a semicolon in place of the comma
     corrected = " ".join(f"{text[start:end].strip()},{problem.rest_of_line(at)}".split())
     help = f"separate keys by commas: `{corrected[:MAX_SHOWN]}`, or put the value in quotes"
-    fix = Fix((Edit(Span(problem.source, end, at), ","),), safe=False)
-    return problem.finding("a comma is missing before this key", help, problem.at, fix=fix)
+    return problem.finding(
+        "a comma is missing before this key",
+        help,
+        problem.at,
+        fix=Fix((Edit(Span(problem.source, end, at), ","),), safe=False),
+    )
 
 
 def _unclosed(problem: _Problem, opening: int, at: int) -> Finding:
@@ -374,8 +389,10 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
         and is_readable(f"{{{line[key.end() :]}\n}}")
     ):
         value = re.split(r"\s#", line[key.end() :], maxsplit=1)[0].rstrip()
-        mapping = f"{line[: key.end()].lstrip()}{{{value[:MAX_SHOWN]}}}"
-        help = f"put a mapping in braces: `{mapping}`; put a text in quotes"
+        help = (
+            f"put a mapping in braces: `{line[: key.end()].lstrip()}{{{value[:MAX_SHOWN]}}}`; put a text in"
+            " quotes"
+        )
     return problem.finding("a second colon in one value", help, problem.at)
 
 
@@ -411,12 +428,12 @@ def _deeper_than_value(problem: _Problem, key: str) -> Finding:
         if (missing_colon(line_text) or GLUED.match(line_text)) and _is_first(problem, above):
             return _line_without_key(problem, above.start + above.indent, line_text)
     if line is None or above is None or not above.key or above.opens or line.indent <= above.indent:
-        help = (
-            "align it with the other keys of its section; a key has either a value or an indented block"
-            " of keys"
-        )
         return problem.finding(
-            "this line belongs to the value above, so it cannot begin with a key", help, at, length
+            "this line belongs to the value above, so it cannot begin with a key",
+            "align it with the other keys of its section; a key has either a value or an indented block"
+            " of keys",
+            at,
+            length,
         )
     if explained := _value_and_block(problem, above) or _value_out_of_place(problem, line, above):
         return explained
@@ -483,6 +500,20 @@ def missing_colon(line: str) -> tuple[str, str] | None:
     in its place."""
     match = re.fullmatch(_ASSIGNED, line) or re.match(_MISSING_COLON, line) or re.fullmatch(_TWO_WORDS, line)
     return (match[1], f"{match[1]}: {match[2].strip()}".rstrip()) if match else None
+
+
+def odd_indentation(source: Source) -> Finding | None:
+    """Return the finding for lines that are indented by non-breaking spaces, as in text of a web page."""
+    indents = [Span(source, *match.span()) for match in re.finditer(_ODD_INDENT, source.text)]
+    if not indents:
+        return None
+    return Finding(
+        "DB001",
+        indents[0],
+        "non-breaking spaces in the indentation",
+        "replace them by ordinary spaces",
+        fix=Fix(tuple(Edit(span, " " * len(span.text)) for span in indents), safe=False),
+    )
 
 
 def report_broken_key(key: ScalarNode, findings: Findings) -> bool:

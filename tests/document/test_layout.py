@@ -151,6 +151,7 @@ def _letters(line: str) -> str:
         ),
         (GROUND, "{color: red}", "color red", "expected a mapping, found the text `color red`"),
         (GROUND, "{color: red}", "color:red", "expected a mapping, found the text `color:red`"),
+        (BLOCK, "\n  ", "\n\u00a0 ", "non-breaking spaces in the indentation"),
         (TEXT, "-20 .. 20 deg", "20 .. -20 deg", "a range whose low end is above its high end"),
         (SCENARIO, "alive: 1", "alive:1", "expected a mapping, found the text `alive:1`"),
     ],
