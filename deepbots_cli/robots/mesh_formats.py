@@ -100,8 +100,6 @@ def placed_triangles(suffix: str, data: bytes) -> Placed:
 _NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _THREE_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([rb"(" + _NUMBER + rb")"] * 3) + rb"(?=\s|$)"
 _NOT_FINITE = rb"(?i)nan|inf"
-_STL_VERTEX = rb"(?i)vertex[ \t]([^\n]*)"
-_STL_PLACE = rb"(?i)vertex" + _THREE_NUMBERS
 
 
 def is_text_stl(data: bytes) -> bool:
@@ -112,7 +110,7 @@ def is_text_stl(data: bytes) -> bool:
 
 def _stl_triangles(data: bytes) -> Placed:
     if is_text_stl(data):
-        numbers = _places(data, _STL_VERTEX, _STL_PLACE, "STL")
+        numbers = _places(data, rb"(?i)vertex", "STL")
         if len(numbers) % 9:
             raise FaultyMeshError("a triangle of the STL file does not have three vertices")
     elif len(data) < 84:
@@ -135,10 +133,10 @@ def _stl_triangles(data: bytes) -> Placed:
     return ((Triangles(numbers, array("q", range(len(numbers) // 3))), IDENTITY),)
 
 
-def _places(data: bytes, vertex: bytes, place: bytes, kind: str) -> array[float]:
+def _places(data: bytes, vertex: bytes, kind: str) -> array[float]:
     """Return the coordinates of all vertices of a file of text. Raises: FaultyMeshError: One has none."""
-    places = re.findall(place, data)
-    vertices = re.findall(vertex, data)
+    places = re.findall(vertex + _THREE_NUMBERS, data)
+    vertices = re.findall(vertex + rb"[ \t]([^\n]*)", data)
     if any(map(re.compile(_NOT_FINITE).search, vertices)):
         raise FaultyMeshError(f"the {kind} file contains a vertex that is not finite")
     if len(vertices) != len(places):
@@ -149,8 +147,6 @@ def _places(data: bytes, vertex: bytes, place: bytes, kind: str) -> array[float]
 # OBJ
 
 
-_OBJ_VERTEX = rb"(?m)^[ \t]*v[ \t]([^\n]*)"
-_OBJ_PLACE = rb"(?m)^[ \t]*v" + _THREE_NUMBERS
 _LINE = rb"(?m)^[ \t]*([vf])(?=[ \t])([^\n]*)"
 _INDEX = rb"[ \t](-?)0*([0-9]+)"
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
@@ -159,14 +155,22 @@ _MAX_FACE_CORNERS = 100_000
 _MAX_LINES = 400_000
 
 
+def is_plain_obj(data: bytes) -> bool:
+    """Return whether each vertex and face of an OBJ file is a line without a comment; PyBullet and trimesh read
+    no others."""
+    return re.search(rb"(?m)^[ \t]*[vf][ \t][^\n]*(?:#|\\\r?$)", data) is None
+
+
 def _obj_triangles(data: bytes) -> Placed:
     """Return the triangles around the first corner of each face."""
     if b"\0" in data:
         raise FaultyMeshError("the OBJ file is not text")
+    if not is_plain_obj(data):
+        data = re.sub(rb"\\\r?\n", b" ", re.sub(rb"#[^\n]*", b"", data))
     lines = list(islice(re.finditer(_LINE, data), _MAX_LINES + 1))
     if len(lines) > _MAX_LINES:
         raise FaultyMeshError(f"the OBJ file contains more than {_MAX_LINES:,} vertices and faces")
-    numbers = _places(data, _OBJ_VERTEX, _OBJ_PLACE, "OBJ")
+    numbers = _places(data, rb"(?m)^[ \t]*v", "OBJ")
     vertices, before, total = len(numbers) // 3, 0, 0
     if not vertices:
         raise FaultyMeshError("the OBJ file contains no vertex")

@@ -26,7 +26,7 @@ from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
 from deepbots_cli.program.world import Color, Line, WorldModel
 from deepbots_cli.robots.kinematics import robot_bounds
-from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
+from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES, is_plain_obj
 from deepbots_cli.robots.meshes import read_verified
 from deepbots_cli.robots.model import (
     Box,
@@ -71,7 +71,7 @@ def triangles(mesh: Mesh) -> Any:
 
     data = read_verified(mesh)
     kind = Path(mesh.path).suffix[1:].lower()
-    if f".{kind}" in GLTF_SUFFIXES:
+    if f".{kind}" in GLTF_SUFFIXES or (kind == "obj" and not is_plain_obj(data)):
         corners = geometry.mesh_triangles(mesh).reshape(-1, 3)
         return with_edges(trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3)))
     try:

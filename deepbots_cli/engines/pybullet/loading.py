@@ -31,7 +31,7 @@ from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
 from deepbots_cli.robots.kinematics import box_sides
-from deepbots_cli.robots.mesh_formats import is_text_stl
+from deepbots_cli.robots.mesh_formats import is_plain_obj, is_text_stl
 from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import (
     Cylinder,
@@ -421,9 +421,9 @@ def _within_margin(piece: Geometry, folder: Path) -> Geometry:
 
 def _readable(mesh: Mesh, folder: Path) -> Mesh:
     """Return a mesh as a file that the library reads as deepbots does: an OBJ file for COLLADA, whose nodes
-    it composes otherwise, and for an STL file of text, which it does not read."""
-    suffix = Path(mesh.path).suffix.lower()
-    if suffix == ".obj" or (suffix == ".stl" and not is_text_stl(read_verified(mesh))):
+    it composes otherwise, and for an STL file of text or an OBJ file that is not plain, which it does not read."""
+    suffix, data = Path(mesh.path).suffix.lower(), read_verified(mesh)
+    if (suffix == ".obj" and is_plain_obj(data)) or (suffix == ".stl" and not is_text_stl(data)):
         return mesh
     file = folder / f"{mesh.digest}.obj"
     corners = mesh_triangles(replace(mesh, scale=(1.0, 1.0, 1.0))).reshape(-1, 3)
