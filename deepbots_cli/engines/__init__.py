@@ -82,12 +82,10 @@ def create(name: str, world: WorldModel) -> Engine:
 def _features(world: WorldModel) -> Iterator[tuple[Feature, str]]:
     """Yield each feature of an engine that the world needs, with the part that needs it."""
     for robot in world.robots:
-        for joint in robot.model.joints:
-            if joint.armature > 0.0:
-                yield "armature", f"'{joint.name}' of '{robot.name}'"
-        for link in robot.model.links:
-            if link.center_varies:
-                yield "center_of_mass", f"'{link.name}' of '{robot.name}'"
+        for joint in (joint for joint in robot.model.joints if joint.armature > 0.0):
+            yield "armature", f"'{joint.name}' of '{robot.name}'"
+        for link in (link for link in robot.model.links if link.center_varies):
+            yield "center_of_mass", f"'{link.name}' of '{robot.name}'"
 
 
 def create_batch(name: str, world: WorldModel, count: int) -> BatchEngine:

@@ -399,6 +399,16 @@ except EngineError as error:
     ), done.stderr
 
 
+def test_a_library_of_opengl_that_is_missing_is_named_with_what_to_do():
+    done = subprocess.run(
+        [sys.executable, "-c", f"{_WITHOUT_LIBRARIES}import deepbots_cli.engines.mujoco"],
+        capture_output=True,
+        text=True,
+        env={"PATH": "", "MUJOCO_GL": "osmesa", "PYTHONPATH": ":".join(sys.path)},
+    )
+    assert "MUJOCO_GL=osmesa, which is not a library of OpenGL on this machine; unset" in done.stderr
+
+
 def color_shares(image) -> list[float]:
     """The shares of pixels that are mostly red, green and blue."""
     strongest = image.astype(int).argmax(axis=-1)[np.ptp(image.astype(int), axis=-1) > 60]

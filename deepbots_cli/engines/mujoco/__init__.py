@@ -30,16 +30,17 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
+from contextlib import suppress
+
+from deepbots_cli.errors import EngineError
 
 
 def _opengl_without_display() -> str:
     """Return the value of MUJOCO_GL for the first library of OpenGL that this machine has."""
     for name, library in (("egl", "libEGL.so.1"), ("osmesa", "libOSMesa.so.8")):
-        try:
+        with suppress(OSError):
             ctypes.CDLL(library)
-        except OSError:
-            continue
-        return name
+            return name
     return "disable"
 
 
@@ -48,14 +49,16 @@ if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get(
     # that it is asked for is missing, as in slim containers, the import fails.
     os.environ.setdefault("MUJOCO_GL", _opengl_without_display())
 
-import mujoco  # noqa: E402 - after the choice of its library
+try:
+    import mujoco
+except (AttributeError, RuntimeError) as error:
+    raise EngineError(
+        f"MuJoCo cannot be imported with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}, which is not a library of"
+        " OpenGL on this machine; unset MUJOCO_GL, and deepbots chooses one"
+    ) from error
 
 __all__ = ["mujoco"]
 
-
-def _ignore(_: str) -> None:
-    """Ignore a warning of MuJoCo about a state that is not finite, which `require_finite` reports with the
-    name of the body."""
-
-
-mujoco.set_mju_user_warning(_ignore)  # by default it writes MUJOCO_LOG.TXT into the working directory
+# `require_finite` reports a state that is not finite, with the name of the body. By default MuJoCo writes
+# MUJOCO_LOG.TXT into the working directory.
+mujoco.set_mju_user_warning(lambda _: None)
