@@ -115,12 +115,13 @@ def read_range(text: str) -> SearchSpace:
 
 
 def _converted(number: Number, unit: Unit) -> float | None:
-    """Return a number in another unit; None if this has another dimension."""
+    """Return a number in another unit, in the digits in which a range is written; None if this has another
+    dimension."""
     number_unit = number.unit or ONE
     if number_unit.text == unit.text:
         return float(number.value)
     return (
-        number_unit.to_si(number.value) * unit.divisor / unit.scale
+        float(f"{number_unit.to_si(number.value) * unit.divisor / unit.scale:.12g}")
         if number_unit.dimension == unit.dimension
         else None
     )

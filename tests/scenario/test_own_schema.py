@@ -351,10 +351,18 @@ def spaces(search: str) -> dict[str, SearchSpace]:
 
 
 def test_a_range_has_units_and_a_logarithm():
-    by_key = spaces("fall_angle: 10..20deg, track: 30 cm .. 0.39 m, train.learning_rate: 1e-4..1e-2:log")
-    assert by_key["fall_angle"] == SearchSpace(low=10, high=20, unit="deg")
-    assert by_key["track"] == SearchSpace(low=0.3, high=0.39, unit="m")
-    assert by_key["train.learning_rate"] == SearchSpace(low=1e-4, high=1e-2, log=True)
+    search = "fall_angle: 10..20deg, track: 30 cm .. 0.39 m, train.learning_rate: 1e-4..1e-2:log"
+    assert spaces(search) == {
+        "fall_angle": SearchSpace(low=10, high=20, unit="deg"),
+        "track": SearchSpace(low=0.3, high=0.39, unit="m"),
+        "train.learning_rate": SearchSpace(low=1e-4, high=1e-2, log=True),
+    }
+
+
+@pytest.mark.parametrize("search", ["track: 7 mm .. 39 cm", "fall_angle: 0.5 deg .. 1 rad"])
+def test_the_low_end_in_another_unit_than_the_high_end_is_a_value_of_the_space(search: str):
+    (space,) = spaces(search).values()
+    assert space.value_of(space.text(space.low)) == space.low
 
 
 def test_a_key_of_whole_numbers_gets_whole_numbers_and_any_other_key_fractions():
@@ -390,9 +398,8 @@ def test_a_value_is_rounded_and_stays_in_its_range():
 
 def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():
     assert SearchSpace(low=10, high=20, unit="deg").value_of("15 deg") == 15
-    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("39 cm") == 0.39
-    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("0.7 m") is None
-    assert SearchSpace(low=0.1, high=0.5, unit="m").value_of("uniform(0.1 .. 0.2 m)") is None
+    space = SearchSpace(low=0.1, high=0.5, unit="m")
+    assert list(map(space.value_of, ("39 cm", "0.7 m", "uniform(0.1 .. 0.2 m)"))) == [0.39, None, None]
     assert SearchSpace(choices=("tanh", "relu")).value_of("relu") == "relu"
 
 
