@@ -195,7 +195,7 @@ class _Version(Generic[V]):
         findings = exceptions_as_findings(
             f"the rule {rule.code}",
             self.context.checked.document.source,
-            partial(_found, rule, self.context),
+            partial(rule, self.context),
         )
         return [
             finding
@@ -259,13 +259,6 @@ def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Findin
     for key, finding in unique.items():
         if finding.code != _UNUSED or key in unused_by_all:
             yield finding
-
-
-def _found(rule: LintRule[V, Finding], context: V) -> Iterator[Finding]:
-    try:
-        yield from rule(context)
-    except RecursionError:  # definitions nested too deep for a rule
-        return
 
 
 def all_findings(

@@ -231,7 +231,12 @@ def test_what_cannot_be_computed_is_one_error(workshop, cartpole, edit) -> None:
 
 
 def test_a_chain_of_nested_operations_is_a_finding_and_not_an_error(workshop, cartpole) -> None:
-    nested = f"{'(1 mm - ' * 60}NEXT{')' * 60}"
-    findings = workshop.lint(cartpole(*chain(20, nested)))
+    findings = workshop.lint(cartpole(*chain(20, f"{'(1 mm - ' * 60}NEXT{')' * 60}")))
     assert {finding.code for finding in findings} == {"DB005"}
     assert findings[0].headline == "`p0` depends on too long a chain of definitions"
+
+
+def test_a_chain_that_is_too_long_for_a_rule_is_a_finding_and_not_silence(workshop, cartpole) -> None:
+    links = "".join(f"  p{n}: p{n - 1} + 1 mm\n" for n in range(1, 400))
+    edits = ("parameters:\n", f"parameters:\n  p0: uniform(0 .. 1 m)\n{links}"), ("> track", "> track + p399")
+    assert {finding.code for finding in workshop.lint(cartpole(*edits))} == {"DB903"}
