@@ -301,13 +301,13 @@ class Runner:
             if controller.steps_after_end > MAX_STEPS_AFTER_END:
                 raise SystemExit(0)  # the program does not heed the end
             return -1
-        controller.steps += 1
         self._progress += 1
         basic = self.simulation.basic_step
         controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
         self._pass_on(controller)
         if robot not in self._robots:
             raise SystemExit(0)  # a supervisor removed it
+        controller.steps += not self.is_over
         return -1 if self.is_over else 0
 
     def _pass_on(self, controller: Controller) -> None:

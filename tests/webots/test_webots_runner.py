@@ -340,7 +340,7 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
     ran = project.run("--steps", "50", "--json")
     result = json.loads(ran.out)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
-    assert [row["robot"] for row in result["controllers"]] == ["boss", "cart"]
+    assert [(row["robot"], row["steps"]) for row in result["controllers"]] == [("boss", 50), ("cart", 50)]
 
 
 @pytest.mark.parametrize(
