@@ -94,12 +94,12 @@ def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:
 def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
     steps, copies = [], []
     for step in own.steps:
-        same = [*_same_elsewhere(lesson, step, own, marks)]
-        if same:
-            texts = [*dict.fromkeys(text for text, _ in same)]
+        if same := [*_same_elsewhere(lesson, step, own, marks)]:
+            first = {student: place for student, place, _ in reversed(same)}
+            texts = [f"{place} of {student}" for student, place in first.items()]
             others = [f"{len(texts) - 1} others"] if texts[2:] else texts[1:]
             reason = f"the same policy as {sentence_list([texts[0], *others])}"
-            if any(is_other for _, is_other in same):
+            if any(is_other for *_, is_other in same):
                 other = "handed in for another reward or task: ask who trained it"
                 reason += f", {other}"
                 step = _without_policy(step, lesson.steps[step.step], f"the same policy was {other}")
@@ -110,9 +110,9 @@ def _judged(lesson: Lesson, own: Marks, marks: Sequence[Marks]) -> Marks:
 
 def _same_elsewhere(
     lesson: Lesson, step: StepMark, own: Marks, marks: Sequence[Marks]
-) -> Iterator[tuple[str, bool]]:
-    """Yield the models of other students that are the policy of a step, and whether that student has points
-    for it in another step or with other parts."""
+) -> Iterator[tuple[str, str, bool]]:
+    """Yield the other students with a model that is the policy of a step, the name of this model, and whether
+    that student has points for it in another step or with other parts."""
     if step.policy is None:
         return
     for theirs, student in ((theirs, one.student) for one in marks if one is not own for theirs in one.steps):
@@ -122,7 +122,7 @@ def _same_elsewhere(
             pairs = zip(theirs.checks, lesson.steps[theirs.step].checks, strict=True)
             has_points = any(mark.points and check.kind == "policy" for mark, check in pairs)
             is_same_task = (theirs.step, theirs.parts) == (step.step, step.parts)
-            yield f"{place} of {student}", is_handed_in and has_points and not is_same_task
+            yield student, place, is_handed_in and has_points and not is_same_task
 
 
 def _without_policy(mark: StepMark, step: Step, reason: str) -> StepMark:

@@ -121,7 +121,7 @@ class Marks:
             "points": None if self.is_open else self.points,
             "of": self.of,
             "steps": steps,
-            "remarks": [*self.copies, *self.all_remarks],
+            "remarks": [*self.for_teacher],
         }
 
 

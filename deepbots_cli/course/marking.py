@@ -440,10 +440,6 @@ class _Policy:
             self.marker.remarks.append(f"{newest.name} is not a run that this version of deepbots wrote")
             raise
         record = run.record
-        if not record.is_finished:
-            self.marker.remarks.append(
-                f"the training of {newest.name} is not finished: its best policy so far is judged"
-            )
         if record.deepbots == __version__ and record.digest != run.digest:
             raise HandInError(f"the scenario in {newest.name} was changed after the training")
         if changed := self._changed(run):
@@ -468,6 +464,10 @@ class _Policy:
             self.marker.remarks.append(f"{self.name}: {reason}")
             path = shell_word(f"runs/{newest.name}")
             raise HandInError(f"{reason}; go on with `deepbots resume {path}`, or train again")
+        if not record.is_finished:
+            self.marker.remarks.append(
+                f"the training of {newest.name} is not finished: its best policy so far is judged"
+            )
         return run
 
     def _changed(self, run: Run) -> list[str]:

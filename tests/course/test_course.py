@@ -12,6 +12,7 @@ import subprocess
 import threading
 import time
 import zipfile
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -29,7 +30,7 @@ from deepbots_cli.course.copies import Weights, without_copies
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
 from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
-from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right
+from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right, unfinished
 from deepbots_cli.course.proof import CHEATS, prove
 from deepbots_cli.course.proof import _policy_points as points_of_policies
 from deepbots_cli.errors import UsageError
@@ -430,6 +431,15 @@ def test_pages_of_students_of_an_earlier_class_are_not_left_among_those_of_this_
     assert sorted(path.name for path in (tmp_path / "marks").iterdir()) == ["01 bob.html", "notes.yaml"]
 
 
+def until(found: Callable[[], Any]) -> Any:
+    """Wait until a function finds something, and return it; fails after two minutes."""
+    for _ in range(600):
+        if value := found():
+            return value
+        time.sleep(0.2)
+    pytest.fail("it was not found within two minutes")
+
+
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
 @pytest.mark.parametrize(
     "number", few([signal.SIGINT, signal.SIGTERM], ["SIGTERM"], lambda number: number.name)
@@ -452,10 +462,7 @@ def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
     table = tmp_path / "marks.csv"
-    for _ in range(600):
-        if table.is_file():
-            break
-        time.sleep(0.2)
+    until(table.is_file)
     assert table.read_text().splitlines()[1].startswith("ada,2,10,")
     process.send_signal(number)
     out, err = process.communicate(timeout=60)
@@ -473,20 +480,11 @@ def test_a_grader_that_is_killed_leaves_no_process(slow: Lesson, tmp_path: Path)
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    started: list[str] = []
-    for _ in range(600):
-        tasks = Path(f"/proc/{process.pid}/task").glob("*/children")
-        if started := " ".join(task.read_text() for task in tasks).split():
-            break
-        time.sleep(0.2)
+    tasks = Path(f"/proc/{process.pid}/task")
+    started = until(lambda: " ".join(task.read_text() for task in tasks.glob("*/children")).split())
     process.kill()
     process.wait()
-    for _ in range(100):
-        if not any(Path("/proc", number).is_dir() for number in started):
-            break
-        time.sleep(0.2)
-    assert started
-    assert not any(Path("/proc", number).is_dir() for number in started)
+    assert until(lambda: not any(Path("/proc", number).is_dir() for number in started))
 
 
 def given_marks(
@@ -535,6 +533,20 @@ def test_a_policy_of_two_students_is_named_and_earns_nothing_where_their_parts_o
     copied = [replace(class_marks[0], steps=(refused,)), class_marks[1]]
     assert [one.points for one in without_copies(lesson_named("reward"), copied)] == [0, 5]
     assert judged[6].copies == ("complete: the same policy as complete-0-1/step.zip of kim",)
+
+
+def test_others_with_the_same_policy_are_students_and_not_their_files() -> None:
+    bob = [given_marks("bob", 1.0, "p", step).steps[0] for step in ("complete", "invent", "invent")]
+    class_marks = [given_marks("ada", 1.0, "p"), replace(given_marks("bob"), steps=tuple(bob))]
+    remark = (
+        "complete: the same policy as complete-0-1/best.zip of bob, handed in for another reward or task: "
+    )
+    assert without_copies(lesson_named("reward"), class_marks)[0].copies == (f"{remark}ask who trained it",)
+
+
+def test_the_json_of_marks_has_the_remarks_of_the_table() -> None:
+    step = unfinished("invent", lesson_named("reward").steps["invent"], "it is missing")
+    assert Marks("ada", "reward", (step,)).data()["remarks"] == ["invent: it is missing"]
 
 
 def test_a_guard_beside_a_policy_that_was_copied_earns_nothing() -> None:
