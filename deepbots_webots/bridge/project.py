@@ -16,11 +16,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from deepbots_cli import api
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
+from deepbots_cli.codegen.robot import controller_names
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.port import Engine, EngineProxy
 from deepbots_cli.program.task import Hyperparameter, Training
@@ -302,8 +303,7 @@ class Project:
 
     def controller_class(self, robot: Robot) -> type[RobotController]:
         """Return the generated class of a robot."""
-        kind: type[RobotController] = self.classes[f"{class_name(robot.name)}Controller"]
-        return kind
+        return cast("type[RobotController]", self.classes[controller_names(self.program)[robot.name]])
 
     def supervisor(self, engine: Engine) -> Supervisor:
         """Return the generated supervisor over an engine, with robots that are controllers of their own."""
