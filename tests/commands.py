@@ -1,8 +1,13 @@
-"""Commands of deepbots: what one that runs in this process has printed, and whether a line is one."""
+"""Commands of deepbots: what one that runs in this process has printed, and whether a line is one; a wait for what
+other processes do."""
 
 import shlex
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -18,6 +23,15 @@ Deepbots = Callable[..., Ran]
 
 WORDS = {"K": "3", "N": "3", "NAME,NAME": "mujoco,pybullet"}
 """What stands for a value in the commands of messages and pages, and such a value."""
+
+
+def until(holds: Callable[[], T], seconds: float = 30.0) -> T:
+    """Wait until a function returns what is true or not empty, and return it."""
+    end = time.monotonic() + seconds
+    while not (value := holds()):
+        assert time.monotonic() < end, f"it did not happen within {seconds:g} s"
+        time.sleep(0.01)
+    return value
 
 
 def refusal(place: str, line: str) -> str:

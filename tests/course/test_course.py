@@ -10,9 +10,7 @@ import signal
 import stat
 import subprocess
 import threading
-import time
 import zipfile
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
@@ -36,7 +34,7 @@ from deepbots_cli.course.proof import _policy_points as points_of_policies
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning import train
 from deepbots_cli.processes import Process, python_command, python_environment
-from tests.commands import Deepbots
+from tests.commands import Deepbots, until
 from tests.few import few
 
 LESSON = """
@@ -431,15 +429,6 @@ def test_pages_of_students_of_an_earlier_class_are_not_left_among_those_of_this_
     assert sorted(path.name for path in (tmp_path / "marks").iterdir()) == ["01 bob.html", "notes.yaml"]
 
 
-def until(found: Callable[[], Any]) -> Any:
-    """Wait until a function finds something, and return it; fails after two minutes."""
-    for _ in range(600):
-        if value := found():
-            return value
-        time.sleep(0.2)
-    pytest.fail("it was not found within two minutes")
-
-
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
 @pytest.mark.parametrize(
     "number", few([signal.SIGINT, signal.SIGTERM], ["SIGTERM"], lambda number: number.name)
@@ -462,7 +451,7 @@ def test_an_interrupted_class_keeps_the_marks_of_the_finished_hand_ins(
         preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),
     )
     table = tmp_path / "marks.csv"
-    until(table.is_file)
+    until(table.is_file, 120)
     assert table.read_text().splitlines()[1].startswith("ada,2,10,")
     process.send_signal(number)
     out, err = process.communicate(timeout=60)

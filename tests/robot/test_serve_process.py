@@ -59,6 +59,7 @@ from deepbots_robot.serving import (
 )
 from deepbots_robot.topics import Field, Topic, action_field
 from tests.bundle.untrained import untrained_bundle, write_bundle
+from tests.commands import until
 from tests.few import WORLDS, few
 
 ROOT = Path(__file__).parents[2]
@@ -127,9 +128,9 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
         running(*serve) as server,
         running("-m", "deepbots_cli", "serve", "cartpole", "--as-robot", "--zmq", link) as robot,
     ):
-        _until(lambda: log.exists() and sum(topic == "/step" for topic, _, _ in read_log(log)) > 40)
+        until(lambda: log.exists() and sum(topic == "/step" for topic, _, _ in read_log(log)) > 40)
         robot.send_signal(signal.SIGKILL)
-        _until(lambda: any(content.get("posture") == "safe" for _, _, content in read_log(log)))
+        until(lambda: any(content.get("posture") == "safe" for _, _, content in read_log(log)))
         time.sleep(1.2)
         killed = time.time()
         server.send_signal(signal.SIGKILL)
@@ -150,15 +151,6 @@ def test_a_killed_robot_ends_in_the_safe_posture_and_a_killed_server_leaves_a_lo
         for topic, _, content in entries
         if topic == "/event"
     )
-
-
-def _until(holds: object) -> None:
-    until = time.monotonic() + 30
-    while time.monotonic() < until:
-        if holds():  # type: ignore[operator]
-            return
-        time.sleep(0.1)
-    pytest.fail("it did not happen within 30 s")
 
 
 @pytest.mark.parametrize(

@@ -51,6 +51,7 @@ from deepbots_robot.server import Input, Output, Server, report_lines
 from deepbots_robot.serving import Notes, Transport
 from deepbots_robot.topics import Field
 from tests.bundle.untrained import write_bundle
+from tests.commands import until
 
 RATE, AGE = 50.0, 0.06
 ANGLE = Field("cart.angle", "cart", "joint_position", "rad", (1,), ("pole",))
@@ -511,13 +512,6 @@ def connected(transport: Transport) -> Iterator[tuple[Link, Callable[[], Link]]]
             return link
 
         yield policy, robot
-
-
-def until(holds: Callable[[], object], seconds: float = 10.0) -> None:
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.005)
 
 
 def angles_taken(policy: Link, seconds: float = 0.3) -> list[float]:

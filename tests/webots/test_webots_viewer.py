@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from deepbots_webots.shapes import MAX_PICTURE_BYTES
 from deepbots_webots.simulation import MAX_DELAY_S, Pace, Simulation
 from deepbots_webots.supervisor import Keyboard
 from deepbots_webots.viewer import FRAME_RATE, Viewer
+from tests.commands import until
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA
 from tests.webots.exported_projects import HEADER, device, read, simulate, solid
@@ -111,14 +112,6 @@ def _positions(wire: ClientConnection) -> dict[str, tuple[float, float, float]]:
         moved = [each for each in _messages(wire) if each["type"] == "SetPositionMessage"]
         if moved:
             return {each["name"]: each["position"] for each in moved}
-
-
-def _wait(holds: Callable[[], bool], seconds: float = 20.0) -> None:
-    """Wait until a condition holds once."""
-    end = time.monotonic() + seconds
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 # The page
@@ -207,8 +200,8 @@ def test_keys_of_the_page_reach_the_keyboard_and_are_released(capsys):
                 ([shift_a, Keyboard.LEFT], other, [shift_a, Keyboard.LEFT, -1]),
                 ([*range(65, 75)], keyboard, [*range(65, 72), -1]),
             ):
-                _wait(lambda: _pressed(simulation, reader, len(expected), wire, keys) == expected)  # noqa: B023
-        _wait(lambda: _pressed(simulation, keyboard, 1) == [-1], 2.0)
+                until(lambda: _pressed(simulation, reader, len(expected), wire, keys) == expected)  # noqa: B023
+        until(lambda: _pressed(simulation, keyboard, 1) == [-1], 2.0)
         keyboard.disable()
         assert (keyboard.getSamplingPeriod(), keyboard.getKey()) == (0, -1)
     assert capsys.readouterr().err == ""
@@ -283,7 +276,7 @@ def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
     assert simulation.ticks == 0
     for _ in range(3):
         pace.step_once()
-    _wait(lambda: simulation.ticks == 3 * 8)
+    until(lambda: simulation.ticks == 3 * 8)
     time.sleep(0.1)
     assert simulation.ticks == 3 * 8
     pace.run(is_fast=True)
@@ -411,12 +404,12 @@ def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path):
         tab = new_tab()
         tab.open(process.stderr.readline().strip())
         tab.wait("document.body.innerText.includes('<b>ready</b>')")
-        _wait(lambda: reds() > 0, 120)
+        until(lambda: reds() > 0, 120)
         middle = reds()
         press("ArrowLeft", "ArrowLeft")
         tab.wait("document.body.innerText.includes('pressed 314')")
         press("ArrowLeft", "ArrowLeft", down=False)
-        _wait(lambda: 0 < reds() < middle - 30, 60)
+        until(lambda: 0 < reds() < middle - 30, 60)
         press("A", "KeyA", 8)
         tab.wait(f"document.body.innerText.includes('pressed {ord('A') + Keyboard.SHIFT}')")
         tab.run("dispatchEvent(new Event('blur')); 1")
@@ -429,14 +422,14 @@ def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path):
         tab.click("step")
         tab.wait(f"document.body.innerText != {state!r}")
         tab.click("real time")
-        _wait(lambda: reds() > middle + 30, 60)
+        until(lambda: reds() > middle + 30, 60)
         program = project.joinpath("controllers", "boss", "boss.py")
         program.write_text(program.read_text().replace("ready", "once more"), encoding="utf-8")
         tab.click("pause")
         tab.click("restart")
         tab.wait("document.body.innerText.includes('<b>once more</b>')")
         tab.wait("document.body.innerText.includes('running')")
-        _wait(lambda: abs(reds() - middle) < 10, 60)
+        until(lambda: abs(reds() - middle) < 10, 60)
         press("q", "KeyQ", 2)
         tab.wait("document.body.innerText.includes('the run has ended')")
         assert tab.errors == []
