@@ -242,7 +242,7 @@ _READ_JSON, _READ_PACKED = msgspec.json.Decoder(Message), msgspec.msgpack.Decode
 def read(content: bytes, fields: Mapping[str, Field]) -> Arrival:
     """Read a message. `problem` has the fault of bytes that are not a message."""
     try:
-        message = (_READ_JSON if content[:1] == b"{" else _READ_PACKED).decode(content)
+        message = (_READ_JSON if content.lstrip()[:1] == b"{" else _READ_PACKED).decode(content)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError, OverflowError) as error:
         return Arrival("a message", problem=f"it cannot be read: {' '.join(str(error).split())[:150]}")
     if message.reset is not None:
@@ -363,7 +363,7 @@ class MessageLink(ABC):
             self._remarks, self._other, self._introduced = [], None, sender
         # Bytes that are not a message change neither the answered connection nor the format.
         if not arrival.problem:
-            self._packed = content[:1] != b"{"
+            self._packed = content.lstrip()[:1] != b"{"
             self._heard_at = time.monotonic()
             self._answer(sender)
         if self._about is not None and arrival.about is not None:

@@ -367,6 +367,10 @@ def _damages(rng: random.Random) -> list[Callable[[dict[str, Any]], Any]]:
     ]
 
 
+def test_json_that_begins_with_a_blank_line_is_read() -> None:
+    assert links.read(b'\n {"robot": "cart", "stamp": 1.0, "reset": 3}', {}).number == 3
+
+
 def test_ten_thousand_damaged_messages_are_not_obeyed_and_crash_nothing() -> None:
     world = World()
     rng = random.Random(36)
