@@ -5,9 +5,7 @@ import shlex
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
-
-T = TypeVar("T")
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -25,7 +23,7 @@ WORDS = {"K": "3", "N": "3", "NAME,NAME": "mujoco,pybullet"}
 """What stands for a value in the commands of messages and pages, and such a value."""
 
 
-def until(holds: Callable[[], T], seconds: float = 30.0) -> T:
+def until(holds: Callable[[], Any], seconds: float = 30.0) -> Any:
     """Wait until a function returns what is true or not empty, and return it."""
     end = time.monotonic() + seconds
     while not (value := holds()):

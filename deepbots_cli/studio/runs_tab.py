@@ -294,14 +294,16 @@ class RunsTab:
             if code:
                 ui.label(text.strip() or f"diagnose ended with exit code {code}")
                 return
-            report = json.loads(text)["runs"][0]
-            ui.label(report["verdict"]).classes("studio-cause")
-            if not report["causes"] and not report["solved"]:
-                ui.label(_NO_CAUSE)
             shown: set[str] = set()
-            for number, cause in enumerate(report["causes"], 1):
-                with ui.element("div").classes("studio-cause-card"):
-                    self._add_cause(path, cause, number, shown)
+            for report in json.loads(text)["runs"]:  # of each agent that learned
+                ui.label(": ".join(filter(None, [report.get("agent"), report["verdict"]]))).classes(
+                    "studio-cause"
+                )
+                if not report["causes"] and not report["solved"]:
+                    ui.label(_NO_CAUSE)
+                for number, cause in enumerate(report["causes"], 1):
+                    with ui.element("div").classes("studio-cause-card"):
+                        self._add_cause(path, cause, number, shown)
 
     def _add_cause(self, path: Path, cause: dict[str, Any], number: int, shown: set[str]) -> None:
         """Show a cause of a run, with buttons for what is advised; `shown` has the commands that

@@ -235,18 +235,25 @@ def test_suggested_steps_are_round_and_more_than_there_are(steps: int, goal: int
     assert longer_goal(steps) == goal
 
 
+def log_of(monkeypatch: pytest.MonkeyPatch, begun: int, reports: dict[float, TrainingProgress]) -> list[str]:
+    """The lines of a log about a training, from its progress by the time in s."""
+    stream, now = io.StringIO(), 0.0
+    monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
+    display = ProgressReporter(stream)
+    display.start(TrainingProgress(begun, 1_000_000, 0, None, None))
+    for now, progress in reports.items():  # noqa: B007  # the clock reads it
+        display.update(progress)
+    return stream.getvalue().splitlines()
+
+
 def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    stream = io.StringIO()
-    now = 0.0
-    monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
-    display = ProgressReporter(stream)
-    display.start(TrainingProgress(0, 1_000_000, 0, None, None))
-    for second in range(120):
-        now = float(second)
-        display.update(TrainingProgress(second * 100, 1_000_000, 0, None, None, evaluations=second // 50))
-    assert [int(line.split()[0].replace(",", "")) for line in stream.getvalue().splitlines()] == [
+    reports = {
+        float(second): TrainingProgress(second * 100, 1_000_000, 0, None, None, evaluations=second // 50)
+        for second in range(120)
+    }
+    assert [int(line.split()[0].replace(",", "")) for line in log_of(monkeypatch, 0, reports)] == [
         3_000,
         5_000,
         8_000,
@@ -255,16 +262,11 @@ def test_a_log_gets_a_line_every_half_minute_and_one_for_an_evaluation(
 
 
 def test_the_speed_leaves_out_the_time_before_the_first_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = io.StringIO()
-    now = 0.0
-    monkeypatch.setattr("deepbots_cli.learning.report.time.perf_counter", lambda: now)
-    display = ProgressReporter(stream)
-    display.start(TrainingProgress(500_000, 1_000_000, 0, None, None))
-    for second in range(90, 151):
-        now = float(second)
-        steps = 500_000 + 1_000 * (second - 90)
-        display.update(TrainingProgress(steps, 1_000_000, 0, None, None))
-    assert stream.getvalue().splitlines()[-1].endswith("1,000 steps/s  at most 7:20 min to go")
+    reports = {
+        90.0 + step: TrainingProgress(500_000 + 1_000 * step, 1_000_000, 0, None, None) for step in range(61)
+    }
+    log = log_of(monkeypatch, 500_000, reports)
+    assert log[-1].endswith("1,000 steps/s  at most 7:20 min to go")
 
 
 def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:

@@ -31,6 +31,9 @@ pytest.importorskip("nicegui")
 pytest.importorskip("viser")
 pytest.importorskip("stable_baselines3")
 
+from nicegui import Client, core
+from nicegui.page import page
+
 import deepbots_cli
 from deepbots_cli import learning
 from deepbots_cli.cli.starters.first_scenario import DroppedRobot
@@ -47,7 +50,7 @@ from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.lesson_tab import with_buttons
 from deepbots_cli.studio.robot_pane import robot_text
-from deepbots_cli.studio.runs_tab import _unbroken
+from deepbots_cli.studio.runs_tab import RunsTab, _unbroken
 from deepbots_cli.studio.server import studio
 from deepbots_cli.studio.session import TABS, Session
 from tests.studio.served import Served, served
@@ -764,6 +767,21 @@ def walked(trained: Path, folder: Path, numbers: range, *, costs: bool) -> None:
                 await walk.go(_STEPS, costs=costs and number % 10 == 0)
 
     asyncio.run(run())
+
+
+def test_a_diagnosis_shows_each_of_several_agents(folder, monkeypatch):
+    reports = [{"agent": one, "verdict": "solved", "causes": [], "solved": True} for one in ("fox", "hare")]
+
+    async def run() -> set[str]:
+        monkeypatch.setattr(core, "loop", asyncio.get_running_loop())
+        async with Running(folder) as running:
+            answer = asyncio.sleep(0, (json.dumps({"runs": reports}), 0))
+            monkeypatch.setattr(running.session.commands, "call", lambda _: answer)
+            with Client(page("/")) as client:
+                await RunsTab(running.session, print, print).diagnose(Path("runs/tag"))
+                return {getattr(element, "text", "") for element in client.elements.values()}
+
+    assert {"fox: solved", "hare: solved"} <= asyncio.run(run())
 
 
 @pytest.fixture(autouse=True)
