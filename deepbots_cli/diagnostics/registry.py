@@ -124,13 +124,7 @@ _CATALOG = (
     Rule("DB309", "unstable-simulation", "error", "a world that the engine cannot simulate", deep="only"),
     Rule("DB310", "spawn-overlap", "error", "bodies that overlap when an episode begins", deep="only"),
     Rule("DB311", "odd-urdf", "warning", "a robot file that other programs may refuse"),
-    Rule(
-        "DB312",
-        "command-cut-off",
-        "warning",
-        "most commands lie beyond the limits of the actuator",
-        preview=True,
-    ),
+    Rule("DB312", "command-cut-off", "warning", "most commands lie beyond the limits of the actuator"),
     Rule("DB313", "joint-driven-twice", "warning", "two actuators drive the same joint", preview=True),
     Rule(
         "DB315", "pose-out-of-reach", "warning", "a command that is out of the reach of the arm", deep="only"

@@ -25,7 +25,7 @@ from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.kinematics import joint_inertia, link_frames, min_spring_inertia
 from deepbots_cli.robots.model import Joint, Mesh, RobotModel
 
-_MIN_SHARE = 0.25
+_MIN_SHARE = 0.5
 """The share of the commands of the agent that an actuator must be able to follow."""
 _MIN_MISS_SHARE = 0.1
 """The share of the commands of an episode: a script may pass over positions out of reach on its way."""
