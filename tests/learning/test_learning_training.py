@@ -265,8 +265,7 @@ def test_the_speed_leaves_out_the_time_before_the_first_step(monkeypatch: pytest
     reports = {
         90.0 + step: TrainingProgress(500_000 + 1_000 * step, 1_000_000, 0, None, None) for step in range(61)
     }
-    log = log_of(monkeypatch, 500_000, reports)
-    assert log[-1].endswith("1,000 steps/s  at most 7:20 min to go")
+    assert log_of(monkeypatch, 500_000, reports)[-1].endswith("1,000 steps/s  at most 7:20 min to go")
 
 
 def test_an_impatient_keyboard_interrupt_keeps_what_was_learned_too(tmp_path: Path) -> None:

@@ -194,9 +194,7 @@ def test_a_published_robot_has_the_right_units(name: str) -> None:
     file = package_file(f"package://pybullet_data/{name}.urdf")
     if file is None:
         pytest.skip("pybullet_data is not installed")
-    findings = Findings()
-    assert read(file, file.name, findings) is not None
-    assert about_units(findings) == []
+    test_a_shipped_robot_has_the_right_units(file)
 
 
 @pytest.mark.parametrize("name", PRIMITIVES)

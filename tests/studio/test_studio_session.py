@@ -775,8 +775,8 @@ def test_a_diagnosis_shows_each_of_several_agents(folder, monkeypatch):
     async def run() -> set[str]:
         monkeypatch.setattr(core, "loop", asyncio.get_running_loop())
         async with Running(folder) as running:
-            answer = asyncio.sleep(0, (json.dumps({"runs": reports}), 0))
-            monkeypatch.setattr(running.session.commands, "call", lambda _: answer)
+            answer = (json.dumps({"runs": reports}), 0)
+            monkeypatch.setattr(running.session.commands, "call", lambda _: asyncio.sleep(0, answer))
             with Client(page("/")) as client:
                 await RunsTab(running.session, print, print).diagnose(Path("runs/tag"))
                 return {getattr(element, "text", "") for element in client.elements.values()}

@@ -200,8 +200,7 @@ def test_a_robot_does_not_overwrite_a_controller_of_the_project(name: str, tmp_p
 
 
 def test_a_robot_called_robot_runs_the_class_of_its_scenario(tmp_path: Path):
-    exported(arm(tmp_path, name="robot"), tmp_path / "out")
-    project = load_project(tmp_path / "out" / "scenario")
+    project = exported(arm(tmp_path, name="robot"), tmp_path / "out").project
     assert "use_message_data" in vars(project.controller_class(project.program.robots[0]))
 
 

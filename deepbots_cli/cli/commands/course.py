@@ -129,8 +129,7 @@ def _list(folder: Path, *, as_json: bool) -> None:
 
 
 def _is_full(row: Row) -> bool:
-    points, _, of = str(row["points"]).partition(" of ")
-    return points == of
+    return len({*str(row["points"]).split(" of ")}) == 1
 
 
 def _start(name: str, folder: Path | None, solution: str | None, *, as_json: bool) -> None:
@@ -235,8 +234,8 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
         len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
     )  # start, solution, and one to cheat with
     with terminal.progress("hand-ins", always=False) as show:
-        proven: list[Proven] = []
-        is_complete = True
+        show(0, total)
+        proven, is_complete = list[Proven](), True
         marked = prove(lesson, train=train, workers=workers, on_marks=lambda _, done: show(done, total))
         try:
             proven.extend(marked)
@@ -331,16 +330,10 @@ def command_grade(
             with suppress(UsageError):  # a full disk, which the last save reports
                 save(finished)
 
+        show(0, len(students))  # a training takes minutes
         try:
-            marks = grade(
-                lesson,
-                students,
-                seed=seed,
-                train=train,
-                workers=workers or available_cores(),
-                on_marks=keep,
-            )
-            is_complete = True
+            cores, is_complete = workers or available_cores(), True
+            marks = grade(lesson, students, seed=seed, train=train, workers=cores, on_marks=keep)
         except Interrupted as interruption:
             marks, is_complete = interruption.marks, False
     lines = [heading(lesson, marks, seed)]
