@@ -77,7 +77,7 @@ def _exit_code(run: Callable[[], object]) -> int:
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
         terminal.print_error(
-            f"{error.filename or 'writing a file'}: {(error.strerror or 'cannot be used').lower()}"
+            f"{os.fsdecode(error.filename or 'writing a file')}: {(error.strerror or 'cannot be used').lower()}"
         )
         return WRONG_USAGE
     except ModuleNotFoundError as error:

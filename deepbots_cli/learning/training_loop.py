@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -460,7 +461,8 @@ def _load(training: Training, learner: Learner, model: Path) -> Learner:
 def _explained(error: DeepbotsError | OSError, run: Run, checkpoints: Checkpoints) -> DeepbotsError:
     """Return the error that ended a training, with the kept results and how to use them."""
     explained = (
-        StorageError(unwritable_message(Path(error.filename or run.path), error))
+        # TensorBoard names its files in bytes.
+        StorageError(unwritable_message(Path(os.fsdecode(error.filename or run.path)), error))
         if isinstance(error, OSError)
         else error
     )

@@ -298,6 +298,14 @@ def test_a_folder_that_cannot_be_written_leaves_the_last_good_state(tmp_path: Pa
     assert evaluate(run, episodes=1, build=stand_in.build).episodes == 1
 
 
+def test_a_file_that_its_writer_names_in_bytes_as_tensorboard_does_is_named(tmp_path: Path) -> None:
+    def write(*_: object) -> None:
+        os.truncate(b"no/such/file", 0)
+
+    with pytest.raises(RunError, match="no/such/file cannot be written: no such file"):
+        train(compiled_of("PPO"), run=tmp_path / "run", build=stand_in.build, on_evaluation=write)
+
+
 @contextmanager
 def files_of_at_most(size: int) -> Iterator[None]:
     """Within, writing more bytes into a file fails, as on a full disk."""
