@@ -248,7 +248,7 @@ def with_mass_of_shapes(model: RobotModel, link: str, mass: float) -> RobotModel
     old = model.link(link)
     ball = Sphere((mass / (4 / 3 * math.pi * WATER)) ** (1 / 3))
     inertial = inertial_of_shapes(old, mass) or homogeneous_inertial(ball, mass)
-    return with_link(model, replace(old, inertial=inertial))
+    return with_link(model, replace(old, inertial=inertial, density=None))
 
 
 # Masses

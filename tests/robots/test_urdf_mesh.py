@@ -723,6 +723,16 @@ def test_a_density_replaces_a_random_mass_of_an_earlier_pattern(tmp_path: Path) 
     assert ("body" in drawn, "pole" in drawn) == (True, False)
 
 
+def test_a_mass_replaces_the_density_of_an_earlier_pattern(tmp_path: Path) -> None:
+    text = (
+        cartpole(tmp_path, "dense").replace("{pole:", '{"*":').replace("m^3}}", "m^3}, pole: {mass: 2 kg}}")
+    )
+    (tmp_path / "a.yaml").write_text(text.replace("dense.urdf", "bare.urdf"), encoding="utf-8")
+    cartpole(tmp_path, "bare")
+    (simulated,) = api.compile(tmp_path / "a.yaml").program.world.robots
+    assert geometry.with_masses(simulated.model).link("pole").mass == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize(
     ("says", "code", "words"),
     [
