@@ -12,13 +12,15 @@ from __future__ import annotations
 
 import hashlib
 from array import array
+from bisect import bisect
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from itertools import chain, product
+from itertools import accumulate, chain, product
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
+from deepbots_cli import frames
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import read_at_most
@@ -26,7 +28,8 @@ from deepbots_cli.robots.elements import Element
 from deepbots_cli.robots.mesh_formats import (
     GLTF_SUFFIXES,
     FaultyMeshError,
-    Placed,
+    Rows,
+    Triangles,
     placed_triangles,
     read_gltf,
 )
@@ -160,16 +163,7 @@ class MeshReader:
         if (suffix, digest) not in _CHECKED:
             if len(_CHECKED) >= MAX_CACHED_MESHES:
                 _CHECKED.clear()
-            wrong = mesh_problem(suffix, data)
-            _CHECKED[suffix, digest] = (
-                CheckedMesh(wrong)
-                if wrong
-                else CheckedMesh(
-                    None,
-                    mesh_coverage(suffix, data, digest),
-                    mesh_size(suffix, data)[:2],
-                )
-            )
+            _CHECKED[suffix, digest] = _checked(suffix, data, digest)
         checked = _CHECKED[suffix, digest]
         self.boxes[suffix, digest] = checked.box
         return (
@@ -268,6 +262,14 @@ def mesh_reach(mesh: Mesh, direction: Vector) -> float:
 # Content
 
 
+def _checked(suffix: str, data: bytes, digest: str) -> CheckedMesh:
+    problem = mesh_problem(suffix, data)
+    if problem:
+        return CheckedMesh(problem)
+    box = mesh_size(suffix, data)[:2]
+    return CheckedMesh(None, mesh_coverage(suffix, data, digest, box), box)
+
+
 def mesh_problem(suffix: str, data: bytes) -> str | None:
     """Return the headline for the first problem of a mesh; None if an engine may load it.
 
@@ -314,8 +316,6 @@ def _coordinates(suffix: str, data: bytes) -> array[float]:
 MAX_LAYERS = 100
 _SAMPLE = 1_000  # triangles
 
-Triangle = tuple[Vector, Vector, Vector]
-
 
 class Coverage(NamedTuple):
     """Areas as seen along x, y and z, in squared units of a mesh: of all triangles together, and of the box
@@ -331,51 +331,34 @@ class Coverage(NamedTuple):
         return area / box if box > 0.0 else 0.0
 
 
-def mesh_coverage(suffix: str, data: bytes, seed: str) -> Coverage | None:
+def mesh_coverage(suffix: str, data: bytes, seed: str, box: Bounds) -> Coverage | None:
     """Return the coverage of a mesh without fault; None of one with few triangles.
 
     Args:
         suffix: The suffix of the file, in lower case.
         data: The content of the file.
         seed: The seed of the sample, such as a digest: a file cannot be written to fit it.
+        box: The box around the mesh, in its own units.
     """
-    try:
-        count, sample = _sampled(placed_triangles(suffix, data), Random(seed))
-    except FaultyMeshError:  # no engine draws such a file
+    placed = placed_triangles(suffix, data)
+    *starts, count = accumulate((len(part.corners) // 3 for part, _ in placed), initial=0)
+    # Few triangles cannot cover each other more than `MAX_LAYERS` times.
+    if count <= MAX_LAYERS:
         return None
-    return _coverage(count, sample) if count > MAX_LAYERS and sample else None
-
-
-def _coverage(count: int, sample: Sequence[Triangle]) -> Coverage:
-    """Return the coverage from the number of all triangles and some of them."""
+    numbers = Random(seed).sample(range(count), min(count, _SAMPLE))
     x = y = z = 0.0
-    for (ax, ay, az), (bx, by, bz), (cx, cy, cz) in sample:
+    for number in sorted(numbers):
+        index = bisect(starts, number) - 1
+        ax, ay, az, bx, by, bz, cx, cy, cz = _triangle(*placed[index], number - starts[index])
         bx, by, bz, cx, cy, cz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
         x, y, z = x + abs(by * cz - bz * cy), y + abs(bz * cx - bx * cz), z + abs(bx * cy - by * cx)
-    share = count / len(sample) / 2  # a cross product is twice the area of its triangle
-    axes = zip(*(corner for triangle in sample for corner in triangle), strict=True)
-    a, b, c = (max(coordinates) - min(coordinates) for coordinates in axes)
+    share = count / len(numbers) / 2  # a cross product is twice the area of its triangle
+    a, b, c = frames.subtract(box[1], box[0])
     return Coverage((share * x, share * y, share * z), (b * c, a * c, a * b))
 
 
-def _chosen(count: int, random: Random) -> list[int]:
-    """Return the numbers of some of so many triangles, in order; none if there are few."""
-    # Few triangles cannot cover each other more than `MAX_LAYERS` times.
-    return sorted(random.sample(range(count), min(count, _SAMPLE))) if count > MAX_LAYERS else []
-
-
-def _vertex(numbers: Sequence[float], corner: int) -> Vector:
-    x, y, z = numbers[3 * corner : 3 * corner + 3]
-    return x, y, z
-
-
-def _sampled(parts: Placed, random: Random) -> tuple[int, list[Triangle]]:
-    """Return the number of triangles and some of them, without the nodes that place them."""
-    count, sample = 0, list[Triangle]()
-    for triangles, _ in parts:
-        for number in _chosen(len(triangles.corners) // 3, random):
-            corners = triangles.corners[3 * number : 3 * number + 3]
-            a, b, c = (_vertex(triangles.numbers, corner) for corner in corners)
-            sample.append((a, b, c))
-        count += len(triangles.corners) // 3
-    return count, sample
+def _triangle(part: Triangles, rows: Rows, number: int) -> Sequence[float]:
+    """Return the coordinates of the corners of a triangle, where a node places it."""
+    corners = part.corners[3 * number : 3 * number + 3]
+    own = chain.from_iterable(part.numbers[3 * corner : 3 * corner + 3] for corner in corners)
+    return Triangles(array("d", own), corners).moved(rows)

@@ -36,7 +36,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes, packages
 from deepbots_cli.robots.mesh_formats import FaultyMeshError, gltf_triangles, read_gltf
-from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds, mesh_coverage
+from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -291,6 +291,17 @@ def test_sheets_below_one_another_are_refused_where_the_scale_puts_them_into_one
         assert isinstance(loaded, packages.UnusableMesh) == refused
 
 
+@pytest.mark.parametrize(("count", "apart", "refused"), [(100, 0.0, True), (150, 0.2, False)])
+def test_parts_of_a_mesh_cover_each_other_where_their_nodes_place_them(
+    tmp_path: Path, count: int, apart: float, refused: bool
+) -> None:
+    whole = sheets("m.dae", count).decode()
+    (node,) = re.findall("<node.*</node>", whole)
+    places = [node.replace("<inst", f"<translate>{apart * n} 0 0</translate><inst") for n in range(40)]
+    (tmp_path / "m.dae").write_text(whole.replace(node, "".join(places)))
+    assert bool(robot_with(tmp_path, "m.dae")[1]) == refused
+
+
 def test_many_triangles_that_do_not_cover_each_other_are_not_a_fault(tmp_path: Path):
     (tmp_path / "ball.obj").write_bytes(ball(0.2, 60))
     assert robot_with(tmp_path, "ball.obj")[1] == []
@@ -394,7 +405,6 @@ def test_a_damaged_mesh_of_many_triangles_gives_findings_and_no_error_of_python(
             )
         (tmp_path / name).write_bytes(data)
         robot_with(tmp_path, name)
-        mesh_coverage(Path(name).suffix, bytes(data), "seed")
 
 
 sizes = st.floats(0.1, 10)
