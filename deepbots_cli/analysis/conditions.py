@@ -106,6 +106,8 @@ class Threshold(NamedTuple):
 
     `now` is false if the condition may hold without the requirement at present: `running_max(x) > 1 m` holds
     for ever after. `one_of_two` is true for each requirement of `abs(x) > 1 m`, which needs only one of them.
+    `decides` is false if the condition may fail while the quantity is beyond all of `bound`:
+    `running_max(x) < 1 m` fails for ever after a larger x.
     """
 
     quantity: Scalar
@@ -114,6 +116,7 @@ class Threshold(NamedTuple):
     dimension: Dimension | None = None
     now: bool = True
     one_of_two: bool = False
+    decides: bool = True
 
     @property
     def limit(self) -> float:
@@ -171,7 +174,13 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
             )
             if threshold.above:
                 yield from _derived(
-                    Threshold(inner, False, iv.negate(threshold.bound), threshold.dimension, False, True),
+                    threshold._replace(
+                        quantity=inner,
+                        above=False,
+                        bound=iv.negate(threshold.bound),
+                        now=False,
+                        one_of_two=True,
+                    ),
                     ranges,
                 )
         case Op("neg", (inner,)):
@@ -184,7 +193,15 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
         case Op("add" | "sub" | "mul" | "div" as op, (a, b)):
             yield from _solved(op, a, b, threshold, ranges)
         case State(function, (inner, *_)) if function in ORDER_PRESERVING:
-            yield from _derived(threshold._replace(quantity=inner, now=False), ranges)
+            yield from _derived(
+                threshold._replace(
+                    quantity=inner,
+                    now=False,
+                    decides=threshold.decides
+                    and function == ("running_max" if threshold.above else "running_min"),
+                ),
+                ranges,
+            )
         case Name() if meaning != threshold.quantity:
             yield threshold._replace(quantity=meaning)
 
@@ -210,9 +227,14 @@ def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges)
             solve = iv.divide if op == "mul" else iv.multiply
             bound = solve(threshold.bound, limit)
             above = above == (limit.low > 0.0)
-    dimension = threshold.dimension if op in ("add", "sub") else None
     yield from _derived(
-        threshold._replace(quantity=unknown, above=above, bound=bound, dimension=dimension), ranges
+        threshold._replace(
+            quantity=unknown,
+            above=above,
+            bound=bound,
+            dimension=threshold.dimension if op in ("add", "sub") else None,
+        ),
+        ranges,
     )
 
 

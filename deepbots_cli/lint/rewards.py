@@ -102,7 +102,8 @@ class _PoleSearch:
             analysis.identity(threshold.quantity)
             for entry in compared
             for threshold in thresholds(entry, self.ranges)
-            if (threshold.bound.high < 0.0 if threshold.above else threshold.bound.low > 0.0)
+            if threshold.decides
+            and (threshold.bound.high < 0.0 if threshold.above else threshold.bound.low > 0.0)
         }
         """The quantities that end the episode before they come near zero."""
 
