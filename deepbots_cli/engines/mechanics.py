@@ -398,26 +398,27 @@ class Chain:
         search gets.
 
         `root` is the pose of the root link, `positions` are the positions of all `moving_joints`. The search
-        begins there, and once more in the middle of the ranges if it misses the target: from a stretched arm
-        it does not find a way to bend.
+        begins there; if it misses the target, it begins again in the middle and at both quarters of the ranges:
+        from a stretched arm, or with joints at their limits, it does not find a way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
         local_attitude = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
-        solution, missing = self._search(list(positions), goal, local_attitude)
-        if missing > TOLERANCE_M * TOLERANCE_M:
-            second_solution, still_missing = self._search(self._middle(positions), goal, local_attitude)
-            if still_missing < missing:
-                solution = second_solution
-        return [solution[index] for index in self._driven]
+        best = self._search(list(positions), goal, local_attitude)
+        for share in (0.5, 0.25, 0.75):
+            if best[1] > TOLERANCE_M * TOLERANCE_M:
+                other = self._search(self._within_ranges(positions, share), goal, local_attitude)
+                # An arm does not jump to another pose that is hardly nearer.
+                best = other if other[1] < STALL_RATIO * best[1] else best
+        return [best[0][index] for index in self._driven]
 
-    def _middle(self, positions: Sequence[float]) -> list[float]:
-        """Return these positions, with the driven joints in the middle of their ranges, if they have any."""
-        middle = list(positions)
+    def _within_ranges(self, positions: Sequence[float], share: float) -> list[float]:
+        """Return these positions, with the driven joints at this share of their ranges, if they have any."""
+        joints = list(positions)
         for index, (low, high) in zip(self._driven, self._ranges, strict=True):
             if low > -inf and high < inf:
-                middle[index] = (low + high) / 2
-        return middle
+                joints[index] = (1.0 - share) * low + share * high
+        return joints
 
     def _search(
         self, joints: list[float], goal: Triple, local_attitude: Quaternion | None

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from math import acos, cos, dist, hypot, pi, sin
 
 import pytest
@@ -171,6 +172,19 @@ def test_two_links_in_a_plane_bend_as_the_law_of_cosines_says(x, y):
     assert elbow == pytest.approx(acos((x * x + (y - 0.1) ** 2 - 0.5) / 0.5), abs=1e-6)
     assert 0.5 * cos(shoulder) + 0.5 * cos(shoulder + elbow) == pytest.approx(x, abs=1e-6)
     assert 0.5 * sin(shoulder) + 0.5 * sin(shoulder + elbow) + 0.1 == pytest.approx(y, abs=1e-6)
+
+
+def test_a_stretched_arm_reaches_behind_itself_although_its_joints_meet_their_limits_on_the_way() -> None:
+    joints = [
+        replace(joint, type="revolute", limit=Limit(-3.0, 3.0))
+        if joint.parent in ("sled", "upper")
+        else joint
+        for joint in planar().joints
+    ]
+    chain = Chain(replace(planar(), joints=tuple(joints)), "tip", ["shoulder", "elbow"])
+    shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.0, 0.0], (-0.845, -0.089, 0.0), None)
+    assert 0.5 * cos(shoulder) + 0.5 * cos(shoulder + elbow) == pytest.approx(-0.845, abs=1e-6)
+    assert 0.5 * sin(shoulder) + 0.5 * sin(shoulder + elbow) == pytest.approx(-0.089, abs=1e-6)
 
 
 def test_ranges_of_joints_are_kept_and_what_is_out_of_reach_is_approached():
