@@ -62,8 +62,9 @@ class RobotState(BaseModel, strict=True, frozen=True):
         address: The URL of the page, with its token.
         reference: The scenario or run of the world; empty while there is none.
         state: `running`; `outdated`, if the files have errors and the world is an earlier one; `errors`, if
-            there was none; `failed`, if the process could not start.
-        text: The reason of `errors` and `failed`.
+            there is no world; `failed`, if the process could not start.
+        text: The reason of `failed`, and why the simulation has stopped or could not begin; empty for files with
+            errors.
         loaded: The number of times that files were read.
         changes: What the files changed when they were read last, against the world before; empty for nothing.
         changed: The values that replace parameters of the file.
@@ -98,9 +99,12 @@ class RobotState(BaseModel, strict=True, frozen=True):
 
 def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[bytes]) -> None:
     """Serve the page until the commands end."""
-    permissions = Permissions(tuple(map(Path, request.allow_paths)), code=request.allow_code)
     page = Page(
-        Showing(request.reference, (), permissions),
+        Showing(
+            request.reference,
+            (),
+            Permissions(tuple(map(Path, request.allow_paths)), code=request.allow_code),
+        ),
         driver=request.driver,
         port=0,
         embedded=True,
@@ -139,11 +143,10 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[bytes]) -
         if refusals:
             raise refusals[0]
         looks += 1
-        if looks % max(1, round(_STATE_INTERVAL_S * page.frame_rate)) == 0:
-            text = _state(page, loaded).model_dump_json()
-            if text != shown:
-                shown = text
-                _send(output, text)
+        is_due = looks % max(1, round(_STATE_INTERVAL_S * page.frame_rate)) == 0
+        if is_due and (text := _state(page, loaded).model_dump_json()) != shown:
+            shown = text
+            _send(output, text)
         return False
 
     try:
@@ -161,23 +164,21 @@ def _obey(page: Page, command: Command) -> None:
         page.change_parameter(command.name, command.value)
     elif command.verb == "frame_rate":
         page.frame_rate = max(1, min(60, int(command.value)))
-    elif page.player is None:
-        return
-    elif command.verb == "driver":
+    elif page.player is not None and command.verb == "driver":
         page.set_driver(command.name)
-    else:
+    elif page.player is not None:
         page.playback.begin()
 
 
 def _state(page: Page, loaded: int) -> RobotState:
     player, playback = page.player, page.playback
     if player is None:
-        return RobotState(address=page.address, state="errors", loaded=loaded)
+        return RobotState(address=page.address, state="errors", text=page.reason, loaded=loaded)
     return RobotState(
         address=page.address,
         reference=player.opened.shown.reference,
         state="outdated" if page.outdated else "running",
-        text=playback.stopped[0] if playback.stopped else "",
+        text=page.reason if playback.stopped else "",
         loaded=loaded,
         changes=page.changes,
         driver=player.driver_name,

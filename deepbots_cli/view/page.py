@@ -53,6 +53,8 @@ class Page:
     """A text (HTML) of the GUI: the state of the episode, or the errors of the scenario."""
     frame_rate: int
     """The pictures per second."""
+    reason: str = ""
+    """Why the world has stopped last, in a sentence; empty where the files have errors."""
     outdated: bool = False
     """Whether the files have errors, so that the world is that of an earlier version; of an embedded page."""
     changes: str = ""
@@ -209,8 +211,10 @@ class Page:
             return
         if opened.program is None:
             findings = html.escape(render(opened.findings, "full", width=46))
-            style = "white-space:pre-wrap;font-size:0.75em;line-height:1.35"
-            self._stop("the scenario has errors", f"<pre style='{style}'>{findings}</pre>")
+            self._stop(
+                "the scenario has errors",
+                f"<pre style='white-space:pre-wrap;font-size:0.75em;line-height:1.35'>{findings}</pre>",
+            )
             return
         playback = self.playback
         default = HAND if playback.by_hand else None
@@ -288,8 +292,11 @@ class Page:
                 root=root,
                 origin=scaled(right, number),
             )
-            reference = world_player.opened.shown.reference.rstrip("/")
-            title = f"{'AB'[number]}: {reference.rpartition('/')[2]}" if len(players) > 1 else ""
+            title = (
+                f"{'AB'[number]}: {Path(world_player.opened.shown.reference).name}"
+                if len(players) > 1
+                else ""
+            )
             playback.worlds.append(ShownWorld(world_player, world, title))
             if title:
                 scene.add_label(
@@ -322,9 +329,14 @@ class Page:
         world before is of the same source."""
         before = self.player.opened.compiled if self.player is not None else None
         self.changes = ""
-        overrides = [f"parameters.{name}={text}" for name, text in self._changed.items()]
         opened = self._open(
-            dataclasses.replace(self._source, overrides=(*self._source.overrides, *overrides))
+            dataclasses.replace(
+                self._source,
+                overrides=(
+                    *self._source.overrides,
+                    *(f"parameters.{name}={text}" for name, text in self._changed.items()),
+                ),
+            )
         )
         if not self._embedded or opened.program is not None:
             self.playback.stopped = None
@@ -339,10 +351,11 @@ class Page:
         try:
             act()
         except (DeepbotsError, OSError) as error:
-            self._stop("stopped", f"<p>{html.escape(str(error))}</p>")
+            self._stop("stopped", f"<p>{html.escape(str(error))}</p>", str(error))
 
-    def _stop(self, title: str, text: str) -> None:
+    def _stop(self, title: str, text: str, reason: str = "") -> None:
         """Show an error (`text` is HTML) in place of the state, until an episode begins."""
+        self.reason = reason
         self.playback.stop(title, text)
         if self.player is None:
             self._clear()
