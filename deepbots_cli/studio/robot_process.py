@@ -10,10 +10,11 @@ import queue
 import sys
 import threading
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Literal
 
-from pydantic import BaseModel
+from pydantic import BaseModel, ValidationError
 
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError
@@ -113,8 +114,9 @@ def serve(request: RobotRequest, commands: Iterable[bytes], output: IO[bytes]) -
     lines: queue.SimpleQueue[Command | None] = queue.SimpleQueue()
 
     def read() -> None:
-        for line in commands:
-            lines.put(Command.model_validate_json(line))
+        with suppress(ValidationError):  # half a line, of a studio that was killed
+            for line in commands:
+                lines.put(Command.model_validate_json(line))
         lines.put(None)
 
     threading.Thread(target=read, daemon=True).start()
@@ -206,7 +208,8 @@ def main() -> int:
     source, output = message_streams()
     lines = iter(source.readline, b"")
     try:
-        serve(RobotRequest.model_validate_json(next(lines)), lines, output)
+        for line in lines:
+            serve(RobotRequest.model_validate_json(line), lines, output)
     except DeepbotsError as error:
         _send(output, RobotState(state="failed", text=str(error)).model_dump_json())
         return 1

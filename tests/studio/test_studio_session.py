@@ -319,6 +319,20 @@ def test_a_correct_file_without_a_start_is_not_said_to_have_errors(folder: Path)
     assert (state.state, state.text.partition(" (")[0]) == ("errors", "no start was found in 3 attempts")
 
 
+@pytest.mark.parametrize("half", [False, True])
+def test_the_process_of_the_robot_ends_with_a_studio_that_was_killed(folder: Path, half: bool) -> None:
+    request = robot_process.RobotRequest(reference=str(folder / "mine.yaml")).model_dump_json()
+    ended = subprocess.run(
+        python_command("deepbots_cli.studio.robot_process"),
+        input=f'{request}\n{{"verb":' if half else "",
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (ended.returncode, ended.stderr) == (0, "")
+
+
 @pytest.mark.slow
 def test_a_crashed_robot_is_named_and_started_again(folder):
     async def run() -> None:
