@@ -220,7 +220,11 @@ class Function(NamedTuple):
             for param in self.params
             for name in (("low", "high") if param.form is Form.RANGE else (param.name,))
         ]
-        takes_rest = self.params[-1].variadic and f"*{names[-1]}" in self.python
+        takes_rest = (
+            self.params[-1].variadic
+            and self.python
+            and any(isinstance(node, ast.Starred) for node in ast.walk(template(self.python)))
+        )
         return (*names[:-1], f"*{names[-1]}") if takes_rest else tuple(names)
 
     def compiled(self, text: str, namespace: dict[str, Any]) -> Callable[..., Any]:

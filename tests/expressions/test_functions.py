@@ -229,6 +229,11 @@ BROKEN = [
         MODULE.replace("interval=", 'array="foo(x)", interval='),
         "the array of 'double' contains foo; write it with functions of np",
     ),
+    (
+        "product:FUNCTIONS",
+        MODULE.replace('Param("x")', 'Param("x"), Param("y", variadic=True)').replace('"2*x"', '"x*y"'),
+        "the python of 'double' must contain *y",
+    ),
     ("unfinished:FUNCTIONS", MODULE.replace('"2*x"', '"2 *"'), "is not a Python expression"),
     ("comparing:FUNCTIONS", MODULE.replace('"2*x"', '"x > 1"'), "gives a truth value; write boolean=True"),
 ]
