@@ -935,7 +935,7 @@ ARITHMETIC = (
         "wrap",
         Family.PURE,
         (_ANGLE,),
-        doc="The same angle, wrapped to more than -180 and up to 180 deg.",
+        doc="The same angle, wrapped to between -180 and 180 deg.",
         example="wrap(yaw(rover) - 90 deg)",
         result=fixed_dimension(ANGLE),
         interval=iv.wrap_angle,
