@@ -414,7 +414,8 @@ class Checkpoints:
         return self._last > 0
 
     def _save_numbered(self) -> None:
-        """Keep the model at equal distances of steps, `--keep-checkpoints` models in all."""
+        """Keep the model at equal distances of steps: `--keep-checkpoints` models in all, beside those of a
+        shorter training that was resumed."""
         steps = self._learner.steps
         count = self.run.record.keep_checkpoints
         total = self.callback.active.total

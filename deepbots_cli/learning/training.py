@@ -108,7 +108,7 @@ def train(
             a confirmation on new starts shows it (`learning.runs.statistics.Confirmation`).
         stage: Name of the stage of the curriculum in which to begin; by default the first.
         keep_checkpoints: Number of models to keep at equal distances of steps, in addition to the best and
-            the last one.
+            the last one. With more steps, `resume` keeps them, and saves more at the new distances.
         initialize_from: A run whose best model initializes this policy, tensor by tensor if names and shapes
             are the same; or a model of a run.
         demonstrations: A recording (.mcap) whose episodes teach the policy, or a run (or a model of it) whose
