@@ -398,8 +398,8 @@ class Chain:
         search gets.
 
         `root` is the pose of the root link, `positions` are the positions of all `moving_joints`. The search
-        begins there; if it misses the target, it begins again in the middle and at both quarters of the ranges:
-        from a stretched arm, or with joints at their limits, it does not find a way to bend.
+        begins there; if it misses the target, it begins again in the middle and at both quarters of the
+        ranges: from a stretched arm, or with joints at their limits, it does not find a way to bend.
         """
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))

@@ -64,8 +64,8 @@ class RobotState(BaseModel, strict=True, frozen=True):
         reference: The scenario or run of the world; empty while there is none.
         state: `running`; `outdated`, if the files have errors and the world is an earlier one; `errors`, if
             there is no world; `failed`, if the process could not start.
-        text: The reason of `failed`, and why the simulation has stopped or could not begin; empty for files with
-            errors.
+        text: The reason of `failed`, and why the simulation has stopped or could not begin; empty for files
+            with errors.
         loaded: The number of times that files were read.
         changes: What the files changed when they were read last, against the world before; empty for nothing.
         changed: The values that replace parameters of the file.

@@ -536,8 +536,8 @@ def test_a_robot_of_the_same_agent_is_heard_too(tmp_path: Path) -> None:
 
 
 def test_an_agent_learns_and_lint_has_no_doubts(hearing_carts: Path, tmp_path: Path) -> None:
-    codes = {finding.code for finding in api.lint(hearing_carts)}
-    assert codes <= {"DB708"}  # that falling ends the payments, which is the point here
+    # DB708 says that falling ends the payments, which is the point here.
+    assert {finding.code for finding in api.lint(hearing_carts)} <= {"DB708"}
     hearing_carts.write_text(
         HEARING + "train: {algorithm: PPO, total_timesteps: 128, n_steps: 64, n_epochs: 1, batch_size: 32}\n"
     )

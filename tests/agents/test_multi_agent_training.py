@@ -403,8 +403,7 @@ sharing_carts = scenario_fixture(SHARED_POLICY + PPO_512)
 
 @pytest.mark.parametrize("text", [SHARED_POLICY, SHARED_ALONE], ids=["together", "alone"])
 def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> None:
-    file = write_scenario(tmp_path, text)
-    program = api.compile(file).program
+    program = api.compile(write_scenario(tmp_path, text)).program
     alone = any(member.alone for member in program.members.values())
 
     def act(observations: np.ndarray, starts: np.ndarray, masks: None) -> Decision:

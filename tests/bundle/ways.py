@@ -965,8 +965,7 @@ def _replaced(make: Callable[[Path], object], *names: str) -> Change:
         def last(folder: Path) -> None:
             content = (folder / name).read_bytes()
             (folder / name).unlink()
-            outside = folder.with_name("outside")
-            outside.write_bytes(content)
+            folder.with_name("outside").write_bytes(content)
             make(folder / name)
 
         forged.last.append(last)

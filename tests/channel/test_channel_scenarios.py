@@ -593,8 +593,7 @@ def test_a_copy_means_itself_by_the_name_of_the_robot(copies: Make) -> None:
 
 
 def test_the_episode_ends_for_all_when_it_ends_for_one(copies: Make) -> None:
-    environment = copies()
-    *_, last = rows(environment, 300, seed=1)
+    *_, last = rows(copies(), 300, seed=1)
     _, reward, terminated, truncated, info = last
     assert terminated is True
     assert truncated is False

@@ -170,8 +170,7 @@ def test_an_option_that_is_gone_says_what_to_do_instead(deepbots, words, instead
 def test_a_command_or_option_of_another_name_says_what_to_write(deepbots, old, new):
     verb = {"--driver": "eval", "--out": "render", "--ros1": "serve"}.get(old, "try")
     words = (verb, "cartpole", old, "x") if old.startswith("--") else (old, "cartpole")
-    ran = deepbots(*words, code=2)
-    assert f"use `{new}`" in ran.err
+    assert f"use `{new}`" in deepbots(*words, code=2).err
     meant = new.split()[1] if new.startswith("deepbots ") else new.split()[0]
     assert meant in COMMANDS or any(
         meant in parameter.opts
@@ -433,8 +432,7 @@ def test_a_full_disk_is_one_clear_line(verb):
 def test_a_dash_as_output_file_is_standard_output(deepbots, tmp_path, arguments):
     deepbots("new", "cartpole", "--from", "cartpole", "--json")
     (tmp_path / "-").write_bytes((tmp_path / "cartpole.yaml").read_bytes())
-    printed = deepbots(*arguments)
-    assert deepbots(*arguments, "-o", "-") == printed
+    assert deepbots(*arguments) == deepbots(*arguments, "-o", "-")
 
 
 def test_the_first_seconds_of_a_training_say_no_time_to_go():

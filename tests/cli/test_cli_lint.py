@@ -251,8 +251,7 @@ def test_watching_lints_again_when_a_file_is_saved_while_it_is_linted(deepbots, 
 def test_without_the_simulator_it_is_wrong_usage_that_says_what_to_install(deepbots, monkeypatch):
     for engine in ("pybullet", "mujoco"):
         monkeypatch.setitem(sys.modules, engine, None)  # as if it were not installed
-    ran = deepbots("lint", "cartpole", "--deep", code=2)
-    assert install_hint("sim") in ran.err
+    assert install_hint("sim") in deepbots("lint", "cartpole", "--deep", code=2).err
 
 
 HERE = Path(__file__).parents[1] / "lint"
@@ -321,8 +320,7 @@ def test_a_folder_that_cannot_be_written_is_named_before_the_search(deepbots, pa
 @pytest.mark.parametrize(("module", "extra"), [("mcap", "sim"), ("gymnasium", "sim")])
 def test_without_the_extra_it_says_how_to_install_it(deepbots, parked, monkeypatch, module, extra):
     monkeypatch.setitem(sys.modules, module, None)
-    ran = deepbots("lint", "parked.yaml", "--exploits", code=2)
-    assert install_hint(extra) in ran.err
+    assert install_hint(extra) in deepbots("lint", "parked.yaml", "--exploits", code=2).err
 
 
 @rule("DB801")

@@ -296,8 +296,7 @@ def test_the_command_for_a_robot_outside_the_project_has_the_options_that_were_g
     (tmp_path / "mine").mkdir()
     (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     words = ["new", "own", "--urdf", "rover.urdf", "--kind", "differential", "--project", "mine", "--force"]
-    refused = deepbots(*words, code=2).err
-    assert f"`deepbots {' '.join(words)} --copy`" in refused
+    assert f"`deepbots {' '.join(words)} --copy`" in deepbots(*words, code=2).err
     deepbots(*words, "--copy")
 
 

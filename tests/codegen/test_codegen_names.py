@@ -170,8 +170,7 @@ reward: {{apart: "(joint_position({first}.slider) - joint_position({second}.slid
 truncation: {{max_steps: 10}}
 """)
     environment.reset(seed=0)
-    rewards = [environment.step([1.0])[1] for _ in range(5)]
-    assert rewards[-1] > 0.01
+    assert [environment.step([1.0])[1] for _ in range(5)][-1] > 0.01
 
 
 @pytest.mark.parametrize("name", ["line follower", "3 carts", "Ünïcode", "a'b\\\"c", "x y-z_w", "..."])
@@ -228,8 +227,7 @@ def test_a_constant_is_explained_by_its_parameter_if_no_other_number_is_in_it() 
     ["", "plain", 'say "hello" \\ and go', '"', '"""', "\\", "many words " * 30, "new\nline\x00", "車 é 🚗"],
 )
 def test_a_docstring_says_what_the_text_says(text: str) -> None:
-    docstring_text = ast.literal_eval("\n".join(docstring(text)))
-    assert docstring_text.split() == text.split()
+    assert ast.literal_eval("\n".join(docstring(text))).split() == text.split()
 
 
 # Memories of stateful functions that several methods of generated code update

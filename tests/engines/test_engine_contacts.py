@@ -190,8 +190,7 @@ def close(engine: Engine, ticks: int = 60) -> list[float]:
 
 
 def test_links_of_a_robot_pass_through_each_other_by_default(engine_name, build):
-    engine = build(engine_name, pincers(self_collision=False))
-    left, right = close(engine, 30)
+    left, right = close(build(engine_name, pincers(self_collision=False)), 30)
     assert left < radians(-60)
     assert right > radians(60)
 

@@ -157,8 +157,7 @@ def sliding(crate: float, ground: float) -> list[float]:
 
 
 def slope(friction: float) -> WorldModel:
-    world = Worlds.slope(pi / 6, friction)
-    return replace(world, timestep=0.01, substeps=10)
+    return replace(Worlds.slope(pi / 6, friction), timestep=0.01, substeps=10)
 
 
 def pooled() -> WorldModel:

@@ -261,8 +261,7 @@ def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(tmp_path, 
 
 
 def test_a_critic_that_never_fell_names_no_moment(short):
-    run = Run.open(short)
-    trace = next(trace_episodes(run, [0], seed=5))
+    trace = next(trace_episodes(Run.open(short), [0], seed=5))
     trace.critic = np.linspace(1.0, 2.0, trace.steps)
     statements = explain(trace)
     assert explanation_json(trace, statements)["moment"] is None
@@ -534,8 +533,7 @@ def test_terms_towards_any_of_the_successes_count(successes):
 
 @pytest.mark.parametrize("name", few(WITH_SUCCESS, ["pit_escape", "find_ball", "see_ball"]))
 def test_only_a_reward_without_what_the_success_measures_gets_a_term_that_compiles(name):
-    shipped = api.compile(name)
-    assert ScenarioFacts(shipped.program).unpaid_quantity is None
+    assert ScenarioFacts(api.compile(name).program).unpaid_quantity is None
     without = ScenarioFacts(api.compile(name, overrides=["reward={time: -1}"]).program)
     quantity, term = without.unpaid_quantity
     assert quantity == WITH_SUCCESS[name]

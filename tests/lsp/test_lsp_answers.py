@@ -248,8 +248,8 @@ def test_names_written_just_now_are_offered_where_they_have_a_value(tmp_path, ch
     latest = Document(analyzed.uri, 2, text.replace("¦", ""), path)
     position = latest.lines.position(text.index("¦"))
     workspace.put(latest)
-    before = completion(workspace.view(analyzed.uri, position))
-    assert before.is_incomplete  # so that an editor asks again at the next letter
+    # An editor asks again at the next letter.
+    assert completion(workspace.view(analyzed.uri, position)).is_incomplete
     workspace.record(analyze(latest, workspace.drafts))
     after = completion(workspace.view(analyzed.uri, position))
     assert not after.is_incomplete

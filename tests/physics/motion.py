@@ -269,8 +269,7 @@ def spring(x: float, engine: str) -> tuple[float]:
 
 def at_limit(motor: str, target: float, engine: str) -> tuple[float, float]:
     """The largest torque, and the angle at last, of a motor of 50 N m that drives a rod against its limit."""
-    limit = Limit(-1, 0.5, effort=50.0)
-    world = hinged(rod("arm"), limit=limit)
+    world = hinged(rod("arm"), limit=Limit(-1, 0.5, effort=50.0))
     gains = [None, None] if motor == "position_motor" else []
     with opened(engine, world) as bench:
         states = started(bench, arm=(0.0, 0.0))

@@ -637,8 +637,7 @@ def test_a_goal_that_is_shut_in_is_as_far_as_the_crow_flies() -> None:
 
 
 def test_what_is_ahead_on_a_way_leads_around_the_obstacle() -> None:
-    wall = [box(0.0, 0.0, 0.02, 0.6)]
-    field = DistanceField(ARENA, BODY_RADIUS, wall, (0.4, 0.0), 0.05)
+    field = DistanceField(ARENA, BODY_RADIUS, [box(0.0, 0.0, 0.02, 0.6)], (0.4, 0.0), 0.05)
     x, y, walked = -0.4, 0.01, 0.0
     while math.hypot(0.4 - x, y) > 0.06 and walked < 3.0:
         ahead = field.ahead(x, y)

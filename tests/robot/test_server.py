@@ -476,8 +476,8 @@ def test_a_log_without_an_end_can_be_read(tmp_path: Path) -> None:
             0.001,
             "policy",
         )
-    content = (tmp_path / "a.mcap").read_bytes()  # as a killed process leaves it
-    (tmp_path / "b.mcap").write_bytes(content[:-3])
+    # as a killed process leaves it
+    (tmp_path / "b.mcap").write_bytes((tmp_path / "a.mcap").read_bytes()[:-3])
     entries = list(read_log(tmp_path / "b.mcap"))
     assert entries[-1][1] >= 3.98 - 1.0
     assert entries[5][2] == {

@@ -334,8 +334,7 @@ def test_a_fix_that_is_a_guess_needs_its_option(deepbots: Deepbots, tmp_path: Pa
 def test_no_text_of_a_template_is_fixed(deepbots: Deepbots, tmp_path: Path):
     text = robot(*ARM).replace('effort="5"', 'effort="${-1}"').replace('velocity="5"', 'velocity="-1"')
     (tmp_path / "robot.urdf.xacro").write_text(text)
-    ran = deepbots("lint", "robot.urdf.xacro", "--fix")
-    assert "DB311" in ran.out
+    assert "DB311" in deepbots("lint", "robot.urdf.xacro", "--fix").out
     assert (tmp_path / "robot.urdf.xacro").read_text() == text
 
 
@@ -343,8 +342,7 @@ def test_the_robot_file_of_a_scenario_is_not_changed_with_it(deepbots: Deepbots,
     text = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
     (tmp_path / "robot.urdf").write_text(text)
     (tmp_path / "t.yaml").write_text(scenario())
-    ran = deepbots("lint", "t.yaml", "--fix")
-    assert "DB311" in ran.out
+    assert "DB311" in deepbots("lint", "t.yaml", "--fix").out
     assert (tmp_path / "robot.urdf").read_text() == text
 
 

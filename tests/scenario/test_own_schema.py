@@ -146,8 +146,7 @@ def test_expressions_are_offered_the_names_that_they_may_use(own: Own) -> None:
 
 
 def test_each_robot_has_its_own_names(own: Own) -> None:
-    two = CARTPOLE.replace("robots:\n", "robots:\n  rolling: {urdf: rover}\n")
-    schema = own(two)
+    schema = own(CARTPOLE.replace("robots:\n", "robots:\n  rolling: {urdf: rover}\n"))
     assert "pole_hinge" not in listed(schema, "JointSensor.rolling", "joint")
     assert set(listed(schema, "JointSensor.cart", "joint")) == set(JOINTS)
 

@@ -10,7 +10,6 @@ What the studio says about the word at the cursor.
 from __future__ import annotations
 
 import asyncio
-import io
 import json
 import os
 import random
@@ -20,7 +19,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -45,7 +44,7 @@ from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.processes import python_command, python_environment
 from deepbots_cli.studio import robot as robots
-from deepbots_cli.studio import robot_process, server
+from deepbots_cli.studio import server
 from deepbots_cli.studio import session as sessions
 from deepbots_cli.studio.explain import explanation
 from deepbots_cli.studio.files import OpenFile
@@ -303,28 +302,23 @@ def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opene
 
 
 def test_a_correct_file_without_a_start_is_not_said_to_have_errors(folder: Path) -> None:
-    file, output = folder / "mine.yaml", io.BytesIO()
-    file.write_text(SCENARIO.replace("15 deg", "15 parsec"), encoding="utf-8")
+    (folder / "mine.yaml").write_text(SCENARIO.replace("15 deg", "15 parsec"), encoding="utf-8")
 
-    def commands() -> Iterator[bytes]:
-        refused = "reset: {require: position(cart).x > 5 m, attempts: 3}\n"
-        file.write_text(SCENARIO + refused, encoding="utf-8")
-        yield robot_process.Command(verb="reload", name=str(file)).model_dump_json().encode()
-        until = time.monotonic() + 20.0
-        while b'"loaded":2' not in output.getvalue() and time.monotonic() < until:
-            time.sleep(0.05)
+    async def run() -> None:
+        async with Running(folder) as running:
+            running.session.show(Path("mine.yaml"))
+            await running.until(lambda: "the file has errors" in robot_text(running.session))
+            _writes(running.session, f"{SCENARIO}reset: {{require: position(cart).x > 5 m, attempts: 3}}\n")
+            await running.until(lambda: "no start was found in 3 attempts" in robot_text(running.session))
 
-    robot_process.serve(robot_process.RobotRequest(reference=str(file)), commands(), output)
-    state = robot_process.RobotState.model_validate_json(output.getvalue().splitlines()[-1])
-    assert (state.state, state.text.partition(" (")[0]) == ("errors", "no start was found in 3 attempts")
+    asyncio.run(run())
 
 
 @pytest.mark.parametrize("half", [False, True])
 def test_the_process_of_the_robot_ends_with_a_studio_that_was_killed(folder: Path, half: bool) -> None:
-    request = robot_process.RobotRequest(reference=str(folder / "mine.yaml")).model_dump_json()
     ended = subprocess.run(
         python_command("deepbots_cli.studio.robot_process"),
-        input=f'{request}\n{{"verb":' if half else "",
+        input=f'{json.dumps({"reference": str(folder / "mine.yaml")})}\n{{"verb":' if half else "",
         capture_output=True,
         text=True,
         timeout=60,

@@ -832,8 +832,7 @@ def test_a_world_runs_without_what_it_warns_of(text: str, headline: str):
 
 
 def test_findings_have_their_place_and_a_suggestion():
-    world = read(HEADER + 'WorldInfo { }\nSolid {\n  naem "a"\n}')
-    (finding,) = world.findings.warnings
+    (finding,) = read(HEADER + 'WorldInfo { }\nSolid {\n  naem "a"\n}').findings.warnings
     assert str(finding) == "world.wbt:4:8: warning: Solid has no field 'naem'\n  help: did you mean 'name'?"
 
 

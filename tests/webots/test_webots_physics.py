@@ -170,8 +170,7 @@ def test_a_joint_is_where_mechanics_has_it(
 def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
     text = hinge(devices="RotationalMotor { maxTorque 1e6 maxVelocity 2 controlPID 5 0 0 }")
     simulation = simulate(text, gravity=0)
-    motor = device(simulation, "rotational motor")
-    motor.setPosition(1.0)
+    device(simulation, "rotational motor").setPosition(1.0)
     run(simulation, 0.2)
     position = node(simulation, "JOINT").getField("position")
     assert position.getSFFloat() == pytest.approx(0.4, rel=0.01)  # at 2 rad/s
@@ -616,8 +615,7 @@ def test_a_supervisor_sets_the_limits_of_a_motor(field: str, value: float, angle
         hinge("", "DEF MOTOR RotationalMotor { minPosition -1 maxPosition 9 maxTorque 500 }"), gravity=0
     )
     it.getFromDef("MOTOR").getField(field).setSFFloat(value)
-    motor = it.getDevice("rotational motor")
-    motor.setPosition(2)
+    it.getDevice("rotational motor").setPosition(2)
     it.step(800)
     assert it.getFromDef("JOINT").getField("position").getSFFloat() == pytest.approx(angle, abs=0.01)
     assert it.getFromDef("MOTOR").getField(field).getSFFloat() == value

@@ -196,8 +196,7 @@ def test_the_controller_of_a_robot_comes_and_goes_with_it(project: Project):
         for _ in range(3): boss.step(32)
         """,
     )
-    ran = project.run()
-    assert ran.out.splitlines() == ["[late] here"] * 2 + ["[cart] the end"]
+    assert project.run().out.splitlines() == ["[late] here"] * 2 + ["[cart] the end"]
 
 
 def test_two_supervisors_run_until_both_end(project: Project):
@@ -337,8 +336,7 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
-    ran = project.run("--steps", "50", "--json")
-    result = json.loads(ran.out)
+    result = json.loads(project.run("--steps", "50", "--json").out)
     assert (result["steps"], result["simulated_s"]) == (50, 1.6)
     assert [(row["robot"], row["steps"]) for row in result["controllers"]] == [("boss", 50), ("cart", 50)]
 

@@ -124,8 +124,7 @@ def test_bodies_that_begin_on_high_ground_are_in_the_picture(kind: str, make: Ma
 
 def test_a_fixed_object_beyond_the_walls_is_in_the_picture(make: Make) -> None:
     arena = HILL.replace("terrain: TERRAIN", "arena: {size: 4 4 m}").replace("mass: 1 kg", "fixed: true")
-    environment = make(arena, "reset.place={cart: {}, block: {x: 5 m}}")
-    boxes = extent(environment.scenario)
+    boxes = extent(make(arena, "reset.place={cart: {}, block: {x: 5 m}}").scenario)
     assert all(low < high for box in boxes for low, high in zip(*box, strict=True))
     assert max(high[0] for _, high in boxes) == pytest.approx(5.05)
 

@@ -108,8 +108,8 @@ def command(
         int | None,
         integer(
             "--keep-checkpoints N",
-            "Keep N models, saved at equal intervals; 0 by default. `resume --timesteps` keeps them, and saves"
-            " more at the intervals of the longer training.",
+            "Keep N models, saved at equal intervals; 0 by default. `resume --timesteps` keeps them, and"
+            " saves more at the intervals of the longer training.",
             0,
             10_000,
             group=ADVANCED,
