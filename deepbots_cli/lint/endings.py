@@ -434,7 +434,7 @@ def _unreachable(analysis: Analysis, threshold: Threshold) -> tuple[str, str] | 
         return None
     a, b = sorted(pair)
     limit = threshold.bound.high
-    if limit <= 0.0 or any(_may_be_above(analysis, body) for body in pair):  # below zero it is DB801
+    if limit <= 0.0 or _may_be_above(analysis, pair):  # below zero it is DB801
         return None
     touching = _touching_distance(_cores(analysis, a), _cores(analysis, b))
     if limit < _TOUCHING_FACTOR * touching:
@@ -453,15 +453,14 @@ def _unreachable(analysis: Analysis, threshold: Threshold) -> tuple[str, str] | 
     return None
 
 
-def _may_be_above(analysis: Analysis, body: str) -> bool:
-    """Return whether a body may be above another: a robot with rotors, or an arm."""
-    is_fixed = any(robot.name == body and robot.fixed_base for robot in analysis.program.world.robots)
-    flying = (
-        robot.name
-        for robot in analysis.program.robots
-        if any(isinstance(actuator, Thrust) for actuator in robot.actuators)
+def _may_be_above(analysis: Analysis, pair: frozenset[str]) -> bool:
+    """Return whether one body may be above the other: an arm, a robot with rotors, or what one of them may
+    lift."""
+    world = analysis.program.world
+    can_lift = any(robot.fixed_base for robot in world.robots) or any(
+        isinstance(actuator, Thrust) for robot in analysis.program.robots for actuator in robot.actuators
     )
-    return is_fixed or body in flying
+    return can_lift and not pair <= {body.name for body in world.objects if body.fixed}
 
 
 def _touching_distance(first: list[SolidProfile], second: list[SolidProfile]) -> float:
