@@ -3,7 +3,7 @@ others."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
@@ -35,14 +35,17 @@ class ConditionComparison(NamedTuple):
     node: Operation
 
 
-def comparisons(analysis: RangeAnalysis, condition: Expression) -> Iterator[ConditionComparison]:
-    """Yield the comparisons of which at least one must hold for the condition to hold; also those within
-    `duration(...)`."""
-    yield from _compared(analysis, condition, condition.typed, set()) if condition.foreign is None else ()
+def comparisons(
+    analysis: RangeAnalysis, condition: Expression, operators: Collection[str] = ("and", "or")
+) -> Iterator[ConditionComparison]:
+    """Yield the comparisons of which at least one must hold for the condition to hold, or all with the
+    operator `and` alone; also those within `duration(...)`."""
+    if condition.foreign is None:
+        yield from _compared(analysis, condition, condition.typed, operators, set())
 
 
 def _compared(
-    analysis: RangeAnalysis, value: Expression, node: TypedNode, met: set[str]
+    analysis: RangeAnalysis, value: Expression, node: TypedNode, operators: Collection[str], met: set[str]
 ) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in INEQUALITIES:
@@ -54,19 +57,19 @@ def _compared(
             )
             condition = long.args[0] if is_long and isinstance(long, Invocation) else None
             yield from (
-                _compared(analysis, value, condition, met)
+                _compared(analysis, value, condition, operators, met)
                 if condition
                 else (ConditionComparison(value, node),)
             )
-        case Operation(operator="and" | "or", args=args):
+        case Operation(operator=operator, args=args) if operator in operators:
             for arg in args:
-                yield from _compared(analysis, value, arg, met)
+                yield from _compared(analysis, value, arg, operators, met)
         case Reference(symbol=symbol) if (
             definition := analysis.expression_named(symbol.name)
         ) is not None and definition.typed.type.boolean:
             if symbol.name not in met and definition.foreign is None:
                 met.add(symbol.name)
-                yield from _compared(analysis, definition, definition.typed, met)
+                yield from _compared(analysis, definition, definition.typed, operators, met)
 
 
 def deciding_comparisons(analysis: RangeAnalysis, condition: Expression) -> Iterator[ConditionComparison]:
@@ -128,14 +131,6 @@ def is_clock(analysis: RangeAnalysis, quantity: Scalar) -> bool:
     """Return whether a quantity is the time or the return, which advance by themselves."""
     meaning = analysis.resolve_aliases(quantity)
     return isinstance(meaning, Name) and meaning.name in _CLOCK_NAMES
-
-
-def has_choice(analysis: RangeAnalysis, condition: Expression) -> bool:
-    """Return whether one part of a condition may hold without the others."""
-    return any(
-        isinstance(part, Op) and part.op == "or"
-        for part in analysis.conjuncts(analysis.scalars(condition)[0])
-    )
 
 
 def thresholds(comparison: ConditionComparison, ranges: Ranges) -> Iterator[Threshold]:
@@ -259,9 +254,7 @@ def shadowed_endings(analysis: RangeAnalysis) -> Mapping[Expression, Expression]
             for ending in endings
             if ending is not late and (late.name in success or ending.name not in success)
         ]
-        if not other_endings or has_choice(analysis, late):
-            continue
-        for comparison in comparisons(analysis, late):
+        for comparison in comparisons(analysis, late, ["and"]) if other_endings else ():
             for threshold in thresholds(comparison, ranges):
                 if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue

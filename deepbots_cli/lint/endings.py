@@ -11,7 +11,6 @@ from deepbots_cli.analysis.conditions import (
     ConditionComparison,
     Threshold,
     comparisons,
-    has_choice,
     thresholds,
 )
 from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
@@ -406,13 +405,9 @@ def unreachable_goal(context: RuleContext) -> Iterator[Finding]:
         return
     analysis = context.analysis
     for ending in context.program.endings:
-        if (
-            ending.name not in context.program.agent.success
-            or ending.foreign is not None
-            or has_choice(analysis, ending)
-        ):
+        if ending.name not in context.program.agent.success:
             continue
-        for entry in comparisons(analysis, ending):
+        for entry in comparisons(analysis, ending, ["and"]):
             required = (each for each in thresholds(entry, analysis.ranges) if not each.one_of_two)
             upper = (threshold for threshold in required if not threshold.above)
             reason = next(filter(None, (_unreachable(analysis, threshold) for threshold in upper)), None)

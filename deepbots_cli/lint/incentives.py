@@ -13,7 +13,6 @@ from deepbots_cli.analysis.conditions import (
     ConditionComparison,
     Threshold,
     comparisons,
-    has_choice,
     is_clock,
     only_comparison,
     thresholds,
@@ -314,9 +313,10 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         return  # DB801, DB804
     repeat, steps = context.program.action_repeat, _steps_from(analysis, success)
     fine = min(0.0, total_range(final, reward.ranges_at(None)).high)
+    has_no_choice = [*comparisons(analysis, success)] == [*comparisons(analysis, success, ["and"])]
     for threshold in _ways_to_avoid(analysis, success):
         waiting = _just_before(running, threshold)
-        is_open = threshold is None or not has_choice(analysis, success)
+        is_open = threshold is None or has_no_choice
         # A step of the agent sums the reward of its timesteps.
         paid = {term: repeat * _pay(waiting, node, is_open=is_open) for term, node in reward.terms}
         pay = sum(paid.values())
