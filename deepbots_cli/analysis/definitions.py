@@ -325,16 +325,16 @@ class DefinitionAnalysis:
         match self.resolve_aliases(node):
             case EngineRead("clearance" | "path_distance", subjects):
                 return frozenset(self._roots.get(subject, subject) for subject in subjects)
-            case Op("hypot", args):
-                pairs = {self._offset(arg) for arg in args}
+            case Op("hypot", args) if len(args) in (2, 3):
+                pairs = {self._offset(*entry) for entry in zip("xyz", args, strict=False)}
                 return pairs.pop() if len(pairs) == 1 else None
             case _:
                 return None
 
-    def _offset(self, node: Scalar) -> frozenset[str] | None:
+    def _offset(self, axis: str, node: Scalar) -> frozenset[str] | None:
         match node:
-            case Op("sub", (EngineRead("position", (a,), axis), EngineRead("position", (b,), other))) if (
-                axis == other
+            case Op("sub", (EngineRead("position", (a,), first), EngineRead("position", (b,), second))) if (
+                first == second == axis
             ):
                 return frozenset({self._roots.get(a, a), self._roots.get(b, b)})
             case _:
