@@ -17,6 +17,7 @@ from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
 from deepbots_cli.analysis.returns import total_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import LENGTH, TIME
 from deepbots_cli.expressions.intervals import ALWAYS, INF, NEVER, TRUTH, ZERO, Interval, hull
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
@@ -439,9 +440,12 @@ def _unreachable(analysis: Analysis, threshold: Threshold) -> tuple[str, str] | 
         )
         words += f", but they are {apart} apart when the bodies touch"
         return words, f"raise the limit above {apart}, or use the `clearance` between surfaces"
-    outside = next((body for body in (a, b) if _is_outside(analysis, body, limit)), None)
+    outside = next((body for body in (a, b) if _beyond_walls(analysis, body).low > limit), None)
     if outside and any(
-        robot.name in pair - {outside} and not robot.fixed_base for robot in analysis.program.world.robots
+        robot.name in pair - {outside}
+        and not robot.fixed_base
+        and _beyond_walls(analysis, f"{robot.name}.{robot.model.root}").high <= 0.0
+        for robot in analysis.program.world.robots
     ):
         words = f"requires the robot to reach `{outside}`, which lies outside the walls of the arena"
         return words, f"place `{outside}` within the walls, or make the arena larger"
@@ -531,18 +535,18 @@ def _core(shape: Shape, height: float, *, upright: bool) -> list[SolidProfile]:
             return []
 
 
-def _is_outside(analysis: Analysis, body: str, margin: float) -> bool:
-    """Return whether an object begins farther than `margin` (m) beyond the walls of the arena."""
+def _beyond_walls(analysis: Analysis, body: str) -> Interval:
+    """Return how far beyond the walls of the arena an object or a root link begins, m; below 0 within
+    them."""
     arena = analysis.program.world.arena
-    if arena is None or not any(object_body.name == body for object_body in analysis.program.world.objects):
-        return False
-    for axis, size in zip("xy", arena.size, strict=True):
-        coordinates = analysis.start.initial(EngineRead("position", (body,), axis))
-        if coordinates is not None and (
-            coordinates.low > size / 2 + margin or coordinates.high < -size / 2 - margin
-        ):
-            return True
-    return False
+    places = (
+        iv.subtract(
+            iv.absolute(analysis.start.initial(EngineRead("position", (body,), axis)) or Interval()),
+            iv.single(size / 2),
+        )
+        for axis, size in zip("xy", arena.size if arena else (INF, INF), strict=True)
+    )
+    return iv.maximum(*places)
 
 
 @rule("DB813")
