@@ -300,25 +300,6 @@ class DefinitionAnalysis:
 
     # Bodies
 
-    def own_contacts(self, node: Scalar) -> list[str]:
-        """Return the contacts between links of one robot without `self_collision`, which are never true."""
-        contacts = [
-            part
-            for part in self.walk_definitions(node)
-            if isinstance(part, EngineRead) and part.function == "contact"
-        ]
-        owners = [(part, {name.partition(".")[0] for name in part.subjects}) for part in contacts]
-        copies = self.program.agent.copies
-        robots = {body.name for body in self.program.world.robots if not body.self_collision}
-        robots -= {copies.robot if copies else ""}  # a copy may touch another one
-        return sorted(
-            {
-                f"contact({', '.join(part.subjects)})"
-                for part, names in owners
-                if len(names) == 1 and names <= robots
-            }
-        )
-
     def distance_pair(self, node: Scalar) -> frozenset[str] | None:
         """Return the two bodies whose distance this is, by any measure: between origins, between surfaces, or
         along a path."""

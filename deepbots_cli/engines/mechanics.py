@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations
 from math import atan2, inf
 from typing import TYPE_CHECKING, Generic, NamedTuple, ParamSpec, Protocol, TypeVar
 
@@ -179,20 +178,6 @@ def rigid_group(model: RobotModel, first: str) -> dict[str, Frame]:
                 members[joint.child] = frames.compose(members[parent], frames.frame(joint.origin))
                 waiting.append(joint.child)
     return members
-
-
-def self_collision_pairs(model: RobotModel) -> Iterator[tuple[str, str]]:
-    """Yield the pairs of links of a robot that may touch each other: no rigid group has both, and no joint
-    joins their groups."""
-    group = {link.name: link.name for link in model.links}
-    for joint in model.joints:
-        if not joint.moves:
-            members = rigid_group(model, group[joint.parent])
-            group |= dict.fromkeys(members, group[joint.parent])
-    joined = {frozenset((group[joint.parent], group[joint.child])) for joint in model.joints}
-    for first, second in combinations(group, 2):
-        if group[first] != group[second] and frozenset((group[first], group[second])) not in joined:
-            yield first, second
 
 
 def with_explicit_masses(name: str, model: RobotModel, fixed_base: bool) -> RobotModel:

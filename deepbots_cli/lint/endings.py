@@ -48,15 +48,39 @@ def never_true(context: RuleContext) -> Iterator[Finding]:
             headline = f"`{ending.name}` can never be true"
             notes = tuple(_reasons(analysis, ending))
             yield Finding("DB801", ending.span, headline, _help_for_untrue(analysis, ending), notes=notes)
-        elif not ending.foreign and (contacts := analysis.own_contacts(analysis.scalars(ending)[0])):
-            headline = f"`{contacts[0]}` is never true: links of one robot do not touch each other"
-            yield Finding(
-                "DB801",
-                ending.span,
-                headline,
-                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
-                " `self_collision: true` under the robot",
+        elif not ending.foreign and (why := impossible_contact(analysis, analysis.scalars(ending)[0])):
+            yield Finding("DB801", ending.span, *why)
+
+
+def impossible_contact(analysis: Analysis, node: Scalar) -> tuple[str, str] | None:
+    """Return which contact between links of one robot is never true, with the reason, and a help."""
+    copies = analysis.program.agent.copies
+    robots = {body.name: body for body in analysis.program.world.robots}
+    robots.pop(copies.robot if copies else "", None)  # a copy may touch another one
+    for part in analysis.walk_definitions(node):
+        if isinstance(part, EngineRead) and part.function == "contact":
+            a, b = part.subjects
+            body = robots.get(a.partition(".")[0])
+            if body is None or body.name != b.partition(".")[0]:
+                continue
+            ends = (
+                [{body.name, f"{body.name}.{link}"} for link in links]
+                for pair in kinematics.self_collision_pairs(body.model)
+                for links in (pair, pair[::-1])
             )
+            text = f"`contact({a}, {b})` is never true: links"
+            if not any(a in first and b in second for first, second in ends):
+                return (
+                    f"{text} that a joint joins do not touch each other",
+                    "compare the position of the joint instead",
+                )
+            if not body.self_collision:
+                return (
+                    f"{text} of one robot do not touch each other",
+                    "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
+                    " `self_collision: true` under the robot",
+                )
+    return None
 
 
 def _truth_over_episode(analysis: Analysis, ending: Expression) -> Interval:

@@ -19,6 +19,7 @@ from deepbots_cli.expressions.intervals import INF, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, Reference, TypedNode, children
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
+from deepbots_cli.lint.endings import impossible_contact
 from deepbots_cli.lint.observations import linear
 from deepbots_cli.program import Member
 from deepbots_cli.program.values import Expression
@@ -202,15 +203,8 @@ def inactive_term(context: RuleContext) -> Iterator[Finding]:
     endings = {ending.name: TRUTH for ending in context.program.endings}
     ranges = Ranges(analysis, endings, (1.0, float(analysis.last_step)))
     for term, node in analysis.reward.terms:
-        if touching := analysis.own_contacts(node):
-            headline = f"`{touching[0]}` is never true: links of one robot do not touch each other"
-            yield Finding(
-                "DB704",
-                term.span,
-                headline,
-                "use `clearance(...)` of the two links instead, as in `clearance(a, b) < 1 cm`, or write"
-                " `self_collision: true` under the robot",
-            )
+        if why := impossible_contact(analysis, node):
+            yield Finding("DB704", term.span, *why)
         elif ranges.of(node) == ZERO and not _is_turned_off(term.typed, analysis):
             is_conditional = isinstance(term.typed, Operation) and term.typed.operator == "where"
             yield Finding(

@@ -1,5 +1,5 @@
 """Where the links and shapes of a robot are: frames of links, bounding boxes, the height at which a body
-rests, its center of mass, and what a joint moves. Lengths are in m, angles in rad.
+rests, its center of mass, what a joint moves, and which links may touch each other. Lengths are in m, angles in rad.
 
 Link frames do not use yourdfpy: lint needs them and imports no numpy.
 """
@@ -7,9 +7,9 @@ Link frames do not use yourdfpy: lint needs them and imports no numpy.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import combinations, product
 
 from deepbots_cli import frames
 from deepbots_cli.frames import Frame, Triple, quaternion
@@ -298,3 +298,14 @@ def min_spring_inertia(stiffness: float, damping: float, step: float) -> float:
     Euler method).
     """
     return (stiffness * step**2 + 2.0 * damping * step) / 4.0
+
+
+def self_collision_pairs(model: RobotModel) -> Iterator[tuple[str, str]]:
+    """Yield the pairs of links of a robot that may touch each other: no rigid group has both, and no joint
+    joins their groups."""
+    heads = [model.root, *(joint.child for joint in model.joints if joint.type != "fixed")]
+    group = {link: head for head in heads for link in model.links_below(head, rigid=True)}
+    joined = {frozenset((group[joint.parent], group[joint.child])) for joint in model.joints}
+    for first, second in combinations([link.name for link in model.links], 2):
+        if group[first] != group[second] and frozenset((group[first], group[second])) not in joined:
+            yield first, second

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 
 from deepbots_cli import frames
-from deepbots_cli.engines.mechanics import self_collision_pairs
 from deepbots_cli.frames import quaternion
 from deepbots_cli.port import CAMERA_RANGE_M, Engine, View
 from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.robots.kinematics import self_collision_pairs
 from deepbots_cli.robots.model import (
     Box,
     Capsule,

@@ -23,7 +23,6 @@ from deepbots_cli.engines.mechanics import (
     forms_of,
     is_movable,
     rigid_group,
-    self_collision_pairs,
     with_explicit_masses,
 )
 from deepbots_cli.engines.mujoco import mujoco as mj
@@ -32,6 +31,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import HeightGrid, height_grid, mesh_triangles
 from deepbots_cli.program.world import GROUND, Color, Line, ObjectBody, Terrain, WorldModel
 from deepbots_cli.records import dataclass
+from deepbots_cli.robots.kinematics import self_collision_pairs
 from deepbots_cli.robots.model import (
     Box,
     Capsule,

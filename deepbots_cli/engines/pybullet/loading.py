@@ -20,7 +20,6 @@ from deepbots_cli.engines.mechanics import (
     as_robot,
     forms_of,
     is_movable,
-    self_collision_pairs,
     with_explicit_masses,
 )
 from deepbots_cli.engines.pybullet import BASE_LINK, UNREACHABLE_SPEED, capture_native_output
@@ -30,7 +29,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import height_grid, mesh_triangles
 from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.program.world import GROUND
-from deepbots_cli.robots.kinematics import box_sides
+from deepbots_cli.robots.kinematics import box_sides, self_collision_pairs
 from deepbots_cli.robots.mesh_formats import is_plain_obj, is_text_stl
 from deepbots_cli.robots.meshes import mesh_bounds, read_verified
 from deepbots_cli.robots.model import (
