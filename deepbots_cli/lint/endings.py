@@ -24,6 +24,7 @@ from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint.context import Match, RuleContext, Simulation, rule
 from deepbots_cli.program import Program
+from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
@@ -381,19 +382,22 @@ def _delays(analysis: Analysis) -> Iterator[tuple[str, float, NodePath]]:
         key, first = ("at", push.first) if push.first is not None else ("every", push.every)
         if first is not None:
             yield f"`{push.name}` begins after", low(first), ("disturbances", push.name, key)
+    drawn = {variation.of for variation in program.reset.variations}
     for robot in program.robots:
         for sensor in robot.sensors:
+            path = ("robots", robot.name, "sensors", sensor.name)
             if sensor.faults is not None and sensor.faults.period > 1:
                 period = sensor.faults.period * program.world.timestep
-                yield (
-                    f"`{sensor.name}` is read again after",
-                    period,
-                    ("robots", robot.name, "sensors", sensor.name, "period"),
-                )
-    for robot in program.robots[:1]:  # all have the same routes
-        for key, route in (("to_robot", robot.to_route), ("from_robot", robot.from_route)):
-            if route.latency is not None:
-                yield "a message takes", low(route.latency), ("messages", key, "latency")
+                yield f"`{sensor.name}` is read again after", period, (*path, "period")
+            if sensor.faults is not None and OfSensor(robot.name, sensor.name, "latency") not in drawn:
+                yield f"a reading of `{sensor.name}` takes", sensor.faults.latency, (*path, "latency")
+    # All robots have the same routes.
+    routes = [("between_robots", link.route) for link in program.links[:1]]
+    for robot in program.robots[:1]:
+        routes += (("to_robot", robot.to_route), ("from_robot", robot.from_route))
+    for key, route in routes:
+        if route.latency is not None:
+            yield "a message takes", low(route.latency), ("messages", key, "latency")
 
 
 # Goals that cannot be reached
