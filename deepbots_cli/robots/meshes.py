@@ -181,7 +181,10 @@ def read_mesh(path: Path) -> bytes:
         FaultyMeshError: A `.gltf` file cannot be read with its buffers.
         OSError: The file cannot be read.
     """
-    if path.suffix.lower() in GLTF_SUFFIXES:
+    # The caller says what a pointer or an archive is.
+    if path.suffix.lower() in GLTF_SUFFIXES and not read_at_most(path, len(_LFS_POINTER)).startswith(
+        (_LFS_POINTER, *_ARCHIVES)
+    ):
         return read_gltf(path, MAX_BYTES)
     return read_at_most(path, MAX_BYTES + 1)
 

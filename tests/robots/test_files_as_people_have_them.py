@@ -179,9 +179,10 @@ def test_a_drawing_and_a_frame_on_a_fixed_joint_need_no_mass(tmp_path: Path):
     assert opened(tmp_path, robot(*ARM, *parts))[1] == []
 
 
-def test_a_mesh_that_is_a_pointer_of_git_lfs_is_said_to_be_one(tmp_path: Path):
-    (tmp_path / "a b.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
-    mesh = '<collision><geometry><mesh filename="a b.stl"/></geometry></collision>'
+@pytest.mark.parametrize("name", ["a b.stl", "m.gltf"])
+def test_a_mesh_that_is_a_pointer_of_git_lfs_is_said_to_be_one(tmp_path: Path, name: str):
+    (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 1\n")
+    mesh = f'<collision><geometry><mesh filename="{name}"/></geometry></collision>'
     file, (finding,) = opened(tmp_path, robot(link("base", MASS + mesh)))
     assert file is None
     assert "Git LFS pointer" in finding.headline
