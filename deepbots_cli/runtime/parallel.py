@@ -115,7 +115,13 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
         return observations, rewards, ends, cuts, infos
 
     def state(self) -> Any:
-        """Return the observations of all agents in a row, float32: for training with a central critic."""
+        """Return the observations of all agents in a row, float32: for training with a central critic.
+
+        Raises:
+            UsageError: No episode has begun, or the scenario has pictures.
+        """
+        if self._observed is None:
+            raise UsageError("call reset() before state()")
         if isinstance(self._observed, Mapping):
             raise UsageError("a scenario with pictures has no state of all agents; use the observations")
         return np.array(self._observed)

@@ -694,6 +694,12 @@ def test_in_sumo_both_agents_observe_the_same_from_their_own_side() -> None:
         assert observed["red"] == pytest.approx(observed["blue"], abs=1e-3)
 
 
+def test_the_state_before_the_first_reset_is_a_usage_error() -> None:
+    environment = deepbots_cli.parallel_env("sumo")
+    with closing(environment), pytest.raises(UsageError, match=r"call reset\(\) before state\(\)"):
+        environment.state()
+
+
 @pytest.mark.parametrize("scenario", few(["tag", "carry", "sumo"], ["tag"]))
 @pytest.mark.filterwarnings("ignore:We recommend agents to be named")
 def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
