@@ -104,14 +104,9 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
                 ends[name], cuts[name] = True, False
             self.agents = [name for name in acting if not (ends[name] or cuts[name])]
         self._show()
-        observations = {}
-        rewards = {}
-        infos = {}
-        for name in acting:
-            seat = self._seats[name]
-            observations[name] = seat.observation(self._observed)
-            infos[name] = agent_info = seat.info(info)
-            rewards[name] = total(agent_info["reward_terms"].values())
+        observations = {name: self._seats[name].observation(self._observed) for name in acting}
+        infos = {name: self._seats[name].info(info) for name in acting}
+        rewards = {name: total(agent_info["reward_terms"].values()) for name, agent_info in infos.items()}
         return observations, rewards, ends, cuts, infos
 
     def state(self) -> Any:
@@ -166,7 +161,9 @@ class Window:
         self._pyplot = pyplot
         self._period = period
         self._due = 0.0
-        self._figure = pyplot.figure(layout="tight")
+        # Without the file `matplotlibrc` of the current folder, and without a change of the caller's settings.
+        with pyplot.style.context("default"):
+            self._figure = pyplot.figure(layout="tight")
         if self._figure.canvas.manager is not None:
             self._figure.canvas.manager.set_window_title(title)
         self._picture: Any = None
@@ -182,9 +179,10 @@ class Window:
         if not self._has_display:
             return
         if self._picture is None:
-            axes = self._figure.add_subplot()
-            axes.set_axis_off()
-            self._picture = axes.imshow(image)
+            with self._pyplot.style.context("default"):
+                axes = self._figure.add_subplot()
+                axes.set_axis_off()
+                self._picture = axes.imshow(image)
             self._pyplot.show(block=False)
         self._picture.set_data(image)
         self._figure.canvas.draw_idle()

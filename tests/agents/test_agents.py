@@ -138,15 +138,12 @@ def test_the_environment_of_a_role_is_the_world_with_the_others_driven(several: 
             assert (reward, set(own["reward_terms"])) == (seats["left"].reward(info), {"upright", "calm"})
 
 
-SLOW_MESSAGES = "{loss: 30 %, latency: slow + uniform(0 .. 20 ms) each step}"
-
-
 @pytest.mark.parametrize("shown", ["robots", "messages", "rewards"])
 def test_a_batch_of_worlds_shows_what_single_worlds_show(tmp_path: Path, shown: str) -> None:
     text = {
         "robots": SEVERAL,
         "messages": f"parameters: {{slow: uniform(20 .. 90 ms)}}\n{HEARING}"
-        f"messages: {{between_robots: {SLOW_MESSAGES}}}\n",
+        "messages: {between_robots: {loss: 30 %, latency: slow + uniform(0 .. 20 ms) each step}}\n",
         "rewards": OBSERVED,
     }[shown]
     file = write_scenario(tmp_path, text)
@@ -715,6 +712,15 @@ def test_the_tests_of_pettingzoo_pass(scenario: str) -> None:
         render_test(
             lambda render_mode: parallel_to_aec(deepbots_cli.parallel_env(scenario, render_mode=render_mode))
         )
+
+
+@pytest.mark.filterwarnings("ignore:there is no display")
+def test_a_window_is_not_as_large_as_a_matplotlibrc_says() -> None:
+    parallel = pytest.importorskip("deepbots_cli.runtime.parallel")  # it imports PettingZoo
+    from matplotlib import pyplot
+
+    with pyplot.rc_context({"figure.dpi": 100_000}), closing(parallel.Window("Duel", 0.1)):
+        assert (pyplot.gcf().dpi, pyplot.rcParams["figure.dpi"]) == (100, 100_000)
 
 
 MATCHES = 200
