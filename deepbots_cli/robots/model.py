@@ -416,7 +416,8 @@ def to_urdf(model: RobotModel) -> str:
     the model.
 
     `reader.read_bytes(to_urdf(model).encode(), ...)` gives an equal model, except for fields that URDF lacks,
-    such as the armature. Engines load this text, never the user's own file.
+    such as the armature, and for a maximum velocity or effort of 0, which is read as none. Engines load this
+    text, never the user's own file.
     """
     colors: dict[Color, str] = {}
     links = [line for link in model.links for line in _link(link, colors)]
