@@ -127,7 +127,9 @@ MULTI_AGENT_RULES: tuple[StaticRule, ...] = (rewards.nearly_zero_sum,)
 _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
 
-_UNUSED = "DB205"
+_OF_ALL_AGENTS = frozenset({"DB205", "DB804", "DB805"})
+"""The findings that every agent must have: about names without use, and about an end of the episode, which may be
+that of one agent alone."""
 _MAX_NAMES = 3
 """The number of cases and stages that a finding names."""
 
@@ -253,11 +255,10 @@ def _about_shared_ending(finding: Finding) -> Finding:
 
 def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
     """Yield the findings of several agents, each once. What only some agents do not use is used."""
-    used = [{finding.sort_key for finding in findings if finding.code == _UNUSED} for findings in of_each]
-    unused_by_all = set.intersection(*used)
+    of_all = set.intersection(*({finding.sort_key for finding in findings} for findings in of_each))
     unique = {finding.sort_key: finding for findings in of_each for finding in findings}
     for key, finding in unique.items():
-        if finding.code != _UNUSED or key in unused_by_all:
+        if finding.code not in _OF_ALL_AGENTS or key in of_all:
             yield finding
 
 
