@@ -254,18 +254,17 @@ class RobotModel:
     def followers(self) -> dict[str, Mimic]:
         """The moving joints that follow another one, each with the joint at the end of its chain, which
         follows none."""
-        joints = {joint.name: joint for joint in self.moving_joints}
+        names = {joint.name for joint in self.moving_joints}
+        mimics = {
+            joint.name: joint.mimic
+            for joint in self.moving_joints
+            if joint.mimic is not None and joint.mimic.joint in names
+        }
         followers = {}
-        for joint in joints.values():
-            mimic = joint.mimic
-            while (
-                mimic is not None
-                and mimic.joint in joints
-                and (above := joints[mimic.joint].mimic) is not None
-            ):
+        for name, mimic in mimics.items():
+            while (above := mimics.get(mimic.joint)) is not None:
                 mimic = Mimic(above.joint, mimic.multiplier * above.multiplier, mimic.position(above.offset))
-            if mimic is not None and mimic.joint in joints:
-                followers[joint.name] = mimic
+            followers[name] = mimic
         return followers
 
     def followers_of(self, leader: str) -> dict[str, Mimic]:

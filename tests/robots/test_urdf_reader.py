@@ -402,6 +402,13 @@ def test_a_chain_of_mimic_joints_follows_the_joint_at_its_end(read_text):
     assert robot.model.followers == {"j": Mimic("elbow", 2.0, 0.5), "k": Mimic("elbow", -6.0, -0.5)}
 
 
+def test_a_joint_still_follows_one_that_follows_an_unknown_joint(read_text):
+    text = follower('<mimic joint="elbow" multiplier="2"/>').replace(
+        'name="elbow" type="revolute">', 'name="elbow" type="revolute"><mimic joint="nowhere"/>'
+    )
+    assert read_text(text)[0].model.followers == {"j": Mimic("elbow", 2.0)}
+
+
 BAD_MIMICS = {
     "itself": ('<mimic joint="j"/>', "these joints follow each other in a circle: 'j'", "j"),
     "not a number": ('<mimic joint="elbow" multiplier="nan"/>', "'nan' is not a finite number", "nan"),
