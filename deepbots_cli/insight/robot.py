@@ -279,6 +279,7 @@ class SimulatedRobot(Driver):
         """Take commands until the step is due; the newest ones are used. `sent` is None if the values that
         were sent are already answered."""
         answered = sent is None
+        is_late = time.monotonic() > self._due
         while True:
             answered |= self._received(None if answered else sent, -np.inf)
             left = self._due - time.monotonic()
@@ -293,9 +294,9 @@ class SimulatedRobot(Driver):
             self._note(f"no command for {SILENT_STEPS} steps: the motors keep the last one")
         if time.monotonic() > self._looked_at + 1.0:
             self._look()
-        self.late_steps += left < -self._period
+        self.late_steps += is_late
         # A robot that is late does not catch up by faster steps.
-        self._due = max(self._due + self._period, time.monotonic())
+        self._due = (time.monotonic() if is_late else self._due) + self._period
 
     def _received(self, sent: float | None, since: float) -> bool:
         """Follow the commands that have arrived. Returns whether there is now a command of each actuator that

@@ -333,6 +333,23 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
     assert robot.steps == len(alone) - 1
 
 
+def test_a_step_after_a_late_one_is_not_shorter_and_the_late_one_is_counted(tmp_path: Path) -> None:
+    outputs = untrained_bundle("cartpole")[0].outputs
+    program = robot_program(untrained_bundle("cartpole")[0].program)
+    readings, transport = sent_readings(program), Transport(zmq=f"ipc://{tmp_path}/link")
+    with served("cartpole", transport), closing(api.build(with_probes(program, readings))) as world:
+        receives = [_action(program), *((field_of(entry), None) for entry in outputs)]
+        sends = [(field_of(reading.info), None) for reading in readings]
+        with closing(transport.open(receives, sends, robot=True)) as link:  # type: ignore[arg-type]
+            robot = SimulatedRobot(world, readings, outputs, link, speed=0.2, patience=10)
+            period, times = program.period / 0.2, []
+            for step in itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), 5):
+                times.append(time.monotonic())
+                time.sleep(1.7 * period if step.number == 2 else 0.0)
+    assert robot.late_steps == 1
+    assert times[4] - times[3] > 0.7 * period
+
+
 def test_episodes_over_ros_topics(tmp_path: Path) -> None:
     pytest.importorskip("cyclonedds")
     program = untrained_bundle("cartpole")[0].program
