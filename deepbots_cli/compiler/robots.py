@@ -92,13 +92,9 @@ def joint_interval(joint: Joint) -> Interval:
 
 
 def joint_moves_link(model: RobotModel, joint: Joint, link: str) -> bool:
-    """Return whether the link moves when the joint does."""
-    above = {parent_joint.child: parent_joint for parent_joint in model.joints}
-    while link in above:
-        if above[link].name == joint.name:
-            return True
-        link = above[link].parent
-    return False
+    """Return whether the link moves when the joint does, with the joints that follow it."""
+    moved = [joint, *map(model.joint, model.followers_of(joint.name))]
+    return any(link in model.links_below(each.child) for each in moved)
 
 
 def rigid_root(model: RobotModel, link: str) -> tuple[str, Frame]:

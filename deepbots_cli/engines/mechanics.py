@@ -349,12 +349,14 @@ class Segment(NamedTuple):
 
 
 class Chain:
-    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, of
-    which `driven` may be solved for."""
+    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, and
+    joints beside it that these follow; `driven` of them may be solved for."""
 
     def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
         path = _path(model, link)
-        self.moving_joints = tuple(joint.name for joint in path if joint.moves)
+        names = [joint.name for joint in path if joint.moves]
+        leaders = {mimic.joint for name, mimic in model.followers.items() if name in names}
+        self.moving_joints = (*names, *(name for name in driven if name in leaders.difference(names)))
         strange = [name for name in driven if name not in self.moving_joints]
         if strange:
             raise EngineError(f"joint '{strange[0]}' does not move link '{link}' of '{model.name}'")
@@ -366,6 +368,9 @@ class Chain:
             if joint.moves:
                 self._segments.append(Segment(self._tip, joint.axis, joint.type != "prismatic"))
                 self._tip = IDENTITY_FRAME
+        # A leader beside the way moves nothing but its followers.
+        beside = len(self.moving_joints) - len(names)
+        self._segments += [Segment(IDENTITY_FRAME, ZERO_VECTOR, turns=False)] * beside
         self._driven = [self.moving_joints.index(name) for name in driven]
         self._followers = [
             (index, self._driven.index(self.moving_joints.index(mimic.joint)), mimic)

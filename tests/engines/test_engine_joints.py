@@ -16,6 +16,7 @@ from math import acos, cos, dist, hypot, pi, sin
 import pytest
 
 from deepbots_cli import frames
+from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.engines.mechanics import Chain
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import IDENTITY_FRAME, quaternion
@@ -128,6 +129,20 @@ def test_inverse_kinematics_moves_a_follower_with_its_leader():
     )
     (position,) = Chain(model, "upper", ["stage"]).solve(IDENTITY_FRAME, [0.0, 0.1], (0.0, 0.0, 0.7), None)
     assert position == pytest.approx(0.2, abs=1e-6)
+
+
+def test_a_motor_beside_an_arm_moves_the_hand_by_a_joint_that_follows_it():
+    joints = (
+        Joint("motor", "continuous", "base", "crank", axis=(0, 0, 1)),
+        Joint("shoulder", "continuous", "base", "arm", axis=(0, 0, 1), mimic=Mimic("motor", -0.5, 0.1)),
+        Joint("wrist", "fixed", "arm", "hand", Pose((1.0, 0, 0))),
+    )
+    model = RobotModel("crane", tuple(map(Link, ("base", "crank", "arm", "hand"))), joints, root="base")
+    assert joint_moves_link(model, model.joint("motor"), "hand")
+    chain = Chain(model, "hand", ["motor"])
+    positions = dict.fromkeys(chain.moving_joints, 0.0)
+    (motor,) = chain.solve(IDENTITY_FRAME, [*positions.values()], (cos(0.4), sin(0.4), 0.0), None)
+    assert motor == pytest.approx(-0.6, abs=1e-6)
 
 
 BULK = Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)
