@@ -203,7 +203,8 @@ def _derived(threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
 
 def _solved(op: str, a: Scalar, b: Scalar, threshold: Threshold, ranges: Ranges) -> Iterator[Threshold]:
     """Yield the thresholds of the parts of a sum: `a + b > c` needs a > c - b, if b is known."""
-    limit, unknown = (ranges.of(b), a) if ranges.of(b).is_finite else (ranges.of(a), b)
+    is_left = ranges.of(b).is_finite and not ranges.of(a).is_single
+    limit, unknown = (ranges.of(b), a) if is_left else (ranges.of(a), b)
     if not limit.is_finite or ranges.of(unknown).is_single:
         return
     # The side of the threshold depends on the sign of the factor; a / b jumps where b passes 0.
