@@ -322,7 +322,9 @@ def hovering_pays(context: RuleContext) -> Iterator[Finding]:
         pay = sum(paid.values())
         if not 0.0 < pay < INF:
             continue
-        at_success = _just_before(reward.ranges_at(success), threshold)
+        # A quantity that a success remembers, as in `hold`, may have any value when it holds.
+        is_near = threshold is None or threshold.now or threshold.one_of_two
+        at_success = _just_before(reward.ranges_at(success), threshold if is_near else None)
         prize = total_range(reward.terms, at_success).high
         if pay * steps + fine > prize and pay * min(steps, horizon(reward)) > MIN_WORTH * prize:
             last = total_range(final, at_success).high
