@@ -178,14 +178,15 @@ def _chosen(words: Iterable[str]) -> dict[str, Path]:
     """
     chosen = {}
     for word in words:
-        robot, sign, file = word.partition("=")
-        path = Path(file).resolve()
-        if not (sign and path.is_file()):
+        # The name of a robot and a path may contain `=`, too.
+        splits = [(word[:at], Path(word[at + 1 :])) for at, sign in enumerate(word) if sign == "="]
+        robot, path = next((split for split in splits if split[1].is_file()), ("", None))
+        if path is None:
             problem = (
-                "there is no such file" if sign else "write ROBOT=FILE, such as e-puck=controllers/c/c.py"
+                "there is no such file" if splits else "write ROBOT=FILE, such as e-puck=controllers/c/c.py"
             )
             raise UsageError(f"--controller {word}: {problem}")
-        chosen[robot] = path
+        chosen[robot] = path.resolve()
     return chosen
 
 

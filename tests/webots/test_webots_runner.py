@@ -167,6 +167,15 @@ def test_a_controller_that_is_started_by_hand_is_found(
     assert option or words in ran.err
 
 
+def test_a_robot_whose_name_contains_an_equals_sign_is_given_a_controller(project: Project, monkeypatch: Any):
+    monkeypatch.chdir(project.folder)
+    project.write("worlds/w.wbt", HEADER + EXTERN.replace('name "cart"', 'name "cart=1"'))
+    project.write("b=2/c.py", CART)
+    ran = project.run("--controller", "cart=1=b=2/c.py", allow=False)
+    row = next(line.split() for line in ran.out.splitlines() if "cart=1" in line)
+    assert row[2:4] == ["c.py", "yes"]
+
+
 def test_a_handler_of_a_signal_warns_and_the_controller_goes_on(project: Project):
     project.controller("cart", CART)
     handler = "import signal, sys\nsignal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
