@@ -296,9 +296,10 @@ def robot_text(session: Session) -> str:
         return f"starting {asked} ..."
     if state.text:
         return state.text
+    if state.state in _STATES:
+        return _STATES[state.state].format(name=name)
     if state.note:
         return f"{name}: {state.note}"
     if state.driver.startswith(POLICY_OF):
         return f"driven by the {POLICY_OF}{Path(state.driver).name}"
-    text = _STATES.get(state.state) or _DRIVEN_BY.get(state.driver, _BY_SCRIPT)
-    return text.format(name=name, driver=state.driver)
+    return _DRIVEN_BY.get(state.driver, _BY_SCRIPT).format(name=name, driver=state.driver)

@@ -850,6 +850,10 @@ def test_the_policy_of_a_run_drives_the_saved_text_until_another_observation_doe
             await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
             assert robot_text(session) == "driven by the policy of mine-1"
 
+            _writes(session, TINY.replace("deg", "parsec"))
+            await running.until(lambda: robot.state.state == "outdated")
+            assert robot_text(session).startswith("the saved file has errors")
+
             _writes(session, TINY.replace("-20 .. 20 deg", "-30 .. 30 deg"))
             await running.until(lambda: robot.state.driver == "random")
             differs = (
