@@ -69,7 +69,8 @@ class RobotState(BaseModel, strict=True, frozen=True):
         loaded: The number of times that files were read.
         changes: What the files changed when they were read last, against the world before; empty for nothing.
         changed: The values that replace parameters of the file.
-        note: What the driver says about itself, such as the steps of a policy in training.
+        note: What the driver says about itself, such as the steps of a policy in training; or why a parameter
+            is refused.
         keys: The names of keys that drive, with what they do, while a person drives; empty otherwise.
         waiting: Whether the episode waits for the first key of the person.
         paused: Whether time stands still until the person continues.

@@ -89,12 +89,8 @@ class Page:
             UsageError, RunError: There is no such source or driver, or the address cannot be used.
             MissingExtraError: viser is not installed.
         """
-        self._source = source
-        self._compare = compare
-        self._watch = watch
-        self._output = output
-        self.frame_rate = frame_rate
-        self._embedded = embedded
+        self._source, self._compare, self._output = source, compare, output
+        self._watch, self._embedded, self.frame_rate = watch, embedded, frame_rate
         # viser calls functions of controls in its own threads, and engines and OpenGL are used in one.
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.playback = Playback(
@@ -107,6 +103,7 @@ class Page:
             on_change=lambda: self.panel.update_texts(),
         )
         self._changed: dict[str, str] = {}
+        self._accepted: dict[str, str] = {}  # as they were when the files were read last
         self._changed_at = 0.0
         self._controls: Any = None
         self._written: dict[str, str] = {}
@@ -199,8 +196,9 @@ class Page:
         states = [opened] if self._compared is None else [opened, self._compared]
         files = {file: stamp for state in reversed(states) for file, stamp in state.files.items()}
         # A file with an error may hide the files that it includes.
-        has_errors = any(state.program is None for state in states)
-        self._file_stamps = self._file_stamps | files if has_errors else files
+        self._file_stamps = (
+            self._file_stamps if any(state.program is None for state in states) else {}
+        ) | files
         return opened
 
     def _show(self, opened: ShowingState, *, again: bool = False) -> None:
@@ -338,6 +336,14 @@ class Page:
                 ),
             )
         )
+        new = sorted(self._changed.items() - self._accepted.items())
+        if new and opened.program is None and self._embedded and not self.outdated and before is not None:
+            self._changed = {name: self._accepted[name] for name in self._changed if name in self._accepted}
+            self.reload(again=again)
+            error = next(finding for finding in opened.findings if finding.severity == "error")
+            self.playback.worlds[0].player.driver.note = f"{' = '.join(new[0])} is refused: {error.headline}"
+            return
+        self._accepted = dict(self._changed)
         if not self._embedded or opened.program is not None:
             self.playback.stopped = None
         self._show(opened, again=again and before is not None)
@@ -368,9 +374,7 @@ class Page:
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
         """Serve the page until `until` returns True, or Ctrl-C. Time advances while a browser shows the
         page, and not while all pages are hidden, as in a tab in the background."""
-        frame_count = 0
-        due = time.perf_counter()
-        checked = time.monotonic()
+        frame_count, due, checked = 0, time.perf_counter(), time.monotonic()
         while not until():
             period = 1 / self.frame_rate
             while not self._tasks.empty():

@@ -126,13 +126,10 @@ class ManualInput:
         values = dict(self.base_values)
         keys, axes, _ = self._held if self.is_held else (frozenset[str](), (), 0.0)
         for name, bindings in self.bindings.items():
-            pushed = 0.0
-            for more, less, axis, sign in bindings:
-                pushed += (
-                    bool(keys & {*more})
-                    - bool(keys & {*less})
-                    + (sign * axes[axis] if axis < len(axes) else 0.0)
-                )
+            pushed = sum(
+                bool(keys & {*more}) - bool(keys & {*less}) + (sign * axes[axis] if axis < len(axes) else 0.0)
+                for more, less, axis, sign in bindings
+            )
             pushed, end = (
                 min(1.0, max(-1.0, pushed)),
                 self._ranges[name].high if pushed > 0.0 else self._ranges[name].low,

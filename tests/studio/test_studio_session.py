@@ -243,6 +243,10 @@ def test_a_saved_text_and_a_changed_parameter_are_those_of_the_robot(folder):
             session.robot.set_parameter("fall_angle", "0.3 rad")
             await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
             await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
+            # A mistyped one is refused, and is no error in the files.
+            session.robot.set_parameter("fall_angle", "5 kg")
+            await running.until(lambda: "fall_angle = 5 kg is refused: " in robot.state.note)
+            assert (robot.state.state, robot.state.changed) == ("running", {"fall_angle": "0.3 rad"})
             file = session.files[folder / "mine.yaml"]
             assert not file.is_modified
             assert session.write_values({"parameters.fall_angle": "0.3 rad"}) == [3]
