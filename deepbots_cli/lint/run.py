@@ -128,8 +128,8 @@ _CAUSES = frozenset({"DB315"})
 """The warnings that may explain an error: an arm that cannot reach its target contorts."""
 
 _OF_ALL_AGENTS = frozenset({"DB205", "DB804", "DB805"})
-"""The findings that every agent must have: about names without use, and about an end of the episode, which may be
-that of one agent alone."""
+"""The findings that every agent must have: about names without use, and about an end of the episode, which
+may be that of one agent."""
 _MAX_NAMES = 3
 """The number of cases and stages that a finding names."""
 

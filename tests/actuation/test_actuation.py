@@ -248,8 +248,7 @@ def test_an_actuator_may_be_called_like_a_sensor(rail: Make):
 @pytest.mark.parametrize("limit", ["20 N", "uniform(20 .. 30 N)"])
 def test_a_limit_beyond_that_of_the_robot_file_has_no_effect(make: Make, limit: str):
     world = make(RAIL, f"robots.cart.actuators.motor.max_torque={limit}", *ENDLESS, engine="exact")
-    own = make(RAIL, *ENDLESS, engine="exact")
-    assert cart_speeds(world, 3) == cart_speeds(own, 3)
+    assert cart_speeds(world, 3) == cart_speeds(make(RAIL, *ENDLESS, engine="exact"), 3)
 
 
 def test_a_limit_over_several_joints_tightens_those_that_allow_more():

@@ -250,21 +250,6 @@ def test_a_cost_of_a_shared_success_is_explained_by_the_endings_of_agents(tmp_pa
     assert finding.fix is None
 
 
-def test_an_ending_of_one_agent_is_not_said_to_end_the_episode_of_all(tmp_path: Path) -> None:
-    text = """\
-deepbots: 1
-extends: carry
-name: Straying
-endings:
-  left_tired: {when: time > 12 s and position(bar).z > -9 m, ends: left, failure: left}
-  left_late: {when: time > 11 s, ends: left, failure: left}
-  left_strays: {when: abs(position(bar).y) > 1.0 m, ends: left, failure: left}
-  lost: {when: abs(position(bar).y) > 1.1 m, failure: all}
-"""
-    (tmp_path / "straying.yaml").write_text(text, encoding="utf-8")
-    assert {each.code for each in api.lint(tmp_path / "straying.yaml")}.isdisjoint({"DB804", "DB805"})
-
-
 ALONE = (
     CARTS.replace("success: right, failure: left}", "ends: left, failure: left}")
     .replace("success: left, failure: right}", "ends: right, failure: right}")

@@ -710,8 +710,7 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
         closing(BatchWorlds(lambda stage: api.build_batch(program, 3), SEEDS)) as restored,
     ):
         first.reset()
-        generator = np.random.default_rng(1)
-        plan = generator.integers(0, 2, (90, 3))
+        plan = np.random.default_rng(1).integers(0, 2, (90, 3))
         for actions in plan[:50]:
             first.step_all(actions)
         assert len({len(history.actions) for history in first.histories()}) > 1

@@ -519,8 +519,7 @@ def test_the_text_is_that_of_the_reference(deepbots):
 
 
 def test_without_a_code_every_finding_has_its_line(deepbots):
-    lines = deepbots("explain").out.splitlines()[2:]
-    assert [line.split()[0] for line in lines] == [*RULES]
+    assert [line.split()[0] for line in deepbots("explain").out.splitlines()[2:]] == [*RULES]
     report = json.loads(deepbots("explain", "--json").out)
     assert (report["version"], [entry["code"] for entry in report["rules"]]) == (1, [*RULES])
 

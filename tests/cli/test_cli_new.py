@@ -318,8 +318,7 @@ def test_a_project_has_a_schema_for_its_editor_and_a_workflow_that_lints(deepbot
     report = json.loads(deepbots("new", "mine", "--template", "arm", "--project", "work", "--json").out)
     assert report["files"][:2] == ["work/mine.yaml", "work/mine.urdf"]
     work = tmp_path / "work"
-    settings = json.loads((work / ".vscode" / "settings.json").read_text())
-    (schema,) = settings["yaml.schemas"]
+    (schema,) = json.loads((work / ".vscode" / "settings.json").read_text())["yaml.schemas"]
     assert json.loads((work / schema).read_text()) == json.loads(schema_text())
     steps = yaml.safe_load((work / ".github" / "workflows" / "lint.yml").read_text())["jobs"]["lint"]["steps"]
     lint = steps[-1]["run"].split()

@@ -393,8 +393,7 @@ def test_two_runs_of_a_scenario_are_compared_on_the_same_starts(deepbots, traine
 
 @pytest.mark.slow
 def test_a_gate_without_a_success_is_decided_long_before_the_last_episode(deepbots, tmp_path):
-    never = "termination.success={balanced: time > 1 h}"
-    deepbots(*TINY, "--run", "mine", "--set", never)
+    deepbots(*TINY, "--run", "mine", "--set", "termination.success={balanced: time > 1 h}")
     ran = deepbots(
         "eval",
         "mine",

@@ -141,8 +141,7 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
 
 @pytest.mark.parametrize("name", ["class", "None", "lambda", "Any", "float", "Supervisor"])
 def test_a_name_of_a_scenario_that_is_a_word_of_python_gives_a_class(tmp_path: Path, name: str) -> None:
-    checked = api.load(scenario(tmp_path, name=f'"{name}"'))
-    environment = api.make(checked, engine="exact")
+    environment = api.make(api.load(scenario(tmp_path, name=f'"{name}"')), engine="exact")
     environment.reset(seed=0)
     environment.close()
 

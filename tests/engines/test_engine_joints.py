@@ -108,7 +108,8 @@ def test_frames_of_links_without_an_engine_follow_too():
     assert [where[link][0][2] for link in "abc"] == pytest.approx([0.2, -0.3, 0.3])
 
 
-def test_inverse_kinematics_moves_a_follower_with_its_leader():
+@pytest.mark.parametrize(("below", "expected"), [("lower", 0.2), ("base", 0.3)])
+def test_inverse_kinematics_moves_a_follower_with_its_leader_on_the_way_or_beside_it(below, expected):
     """A lift of two stages, of which the upper one follows the lower."""
     model = RobotModel(
         "lift",
@@ -118,7 +119,7 @@ def test_inverse_kinematics_moves_a_follower_with_its_leader():
             Joint(
                 "top",
                 "prismatic",
-                "lower",
+                below,
                 "upper",
                 axis=(0, 0, 1),
                 limit=Limit(0.0, 1.0),
@@ -128,21 +129,8 @@ def test_inverse_kinematics_moves_a_follower_with_its_leader():
         root="base",
     )
     (position,) = Chain(model, "upper", ["stage"]).solve(IDENTITY_FRAME, [0.0, 0.1], (0.0, 0.0, 0.7), None)
-    assert position == pytest.approx(0.2, abs=1e-6)
-
-
-def test_a_motor_beside_an_arm_moves_the_hand_by_a_joint_that_follows_it():
-    joints = (
-        Joint("motor", "continuous", "base", "crank", axis=(0, 0, 1)),
-        Joint("shoulder", "continuous", "base", "arm", axis=(0, 0, 1), mimic=Mimic("motor", -0.5, 0.1)),
-        Joint("wrist", "fixed", "arm", "hand", Pose((1.0, 0, 0))),
-    )
-    model = RobotModel("crane", tuple(map(Link, ("base", "crank", "arm", "hand"))), joints, root="base")
-    assert joint_moves_link(model, model.joint("motor"), "hand")
-    chain = Chain(model, "hand", ["motor"])
-    positions = dict.fromkeys(chain.moving_joints, 0.0)
-    (motor,) = chain.solve(IDENTITY_FRAME, [*positions.values()], (cos(0.4), sin(0.4), 0.0), None)
-    assert motor == pytest.approx(-0.6, abs=1e-6)
+    assert position == pytest.approx(expected, abs=1e-6)
+    assert joint_moves_link(model, model.joint("stage"), "upper")
 
 
 BULK = Inertial(1.0, ixx=0.01, iyy=0.01, izz=0.01)

@@ -34,8 +34,7 @@ def check(number: int) -> str:
         world = world_of_source(Source("world.wbt", text), _PATH, Files(_PATH.parents[1]))
         scene = build_scene(world)
         world.findings.require_none()
-        simulation = Simulation(scene, world.span)
-        simulation.run_step()
+        Simulation(scene, world.span).run_step()
     except DeepbotsError:
         return "findings"
     except FloatingPointError:

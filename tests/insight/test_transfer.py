@@ -835,8 +835,7 @@ def test_a_log_with_damaged_content_is_refused_in_one_sentence(
     }
     for number, attached in enumerate(wrong.values()):
         path = tmp_path / f"{number}.mcap"
-        writer = LogWriter(path, {}, files=attached)
-        writer.close()
+        LogWriter(path, {}, files=attached).close()
         assert main(["view", str(path)]) == 2
     error = capsys.readouterr().err
     assert error.count("cannot be read as the log of a robot: ") == 2

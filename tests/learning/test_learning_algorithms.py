@@ -303,8 +303,7 @@ def test_a_policy_with_a_memory_acts_by_what_it_saw_before(remembered: TrainingR
 def test_a_memory_is_of_one_episode(remembered: TrainingResult) -> None:
     first = evaluate(remembered.run, episodes=20, build=stand_in.build)
     assert len({first.mean_return, first.least_return, first.greatest_return}) == 3  # episodes that differ
-    fewer = evaluate(remembered.run, episodes=9, build=stand_in.build)
-    assert fewer.outcomes == first.outcomes[:9]
+    assert evaluate(remembered.run, episodes=9, build=stand_in.build).outcomes == first.outcomes[:9]
     assert evaluate(remembered.run, episodes=3, deterministic=False, build=stand_in.build).episodes == 3
 
 

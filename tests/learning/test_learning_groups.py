@@ -640,8 +640,7 @@ def test_successes_are_compared_where_returns_do_not_mean_the_same(tmp_path: Pat
     second = trained(
         tmp_path / "other", success=True, apply="drive * 8 rad/s", reward="{alive: 2, center: 0}"
     )
-    comparison = compare([first, second], episodes=3, build=stand_in.build)
-    (difference,) = comparison.differences
+    (difference,) = compare([first, second], episodes=3, build=stand_in.build).differences
     assert difference.measure == "success_rate"
     assert difference.mean_return is None
     assert "success rate" in difference.verdict

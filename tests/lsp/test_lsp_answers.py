@@ -460,8 +460,7 @@ def test_the_range_of_a_hover_is_the_piece_that_it_is_about_also_behind_an_emoji
 
 
 def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, pit):
-    text = client.texts[pit]
-    client.change(pit, "# a new line\n" + text.replace("solved: ", "solved: {{"))
+    client.change(pit, "# a new line\n" + client.texts[pit].replace("solved: ", "solved: {{"))
     assert [finding["code"] for finding in client.findings(pit)] == ["DB001"]
     assert "a length (m)" in client.hover(pit, "reach > rad¦ius")
     assert client.definition(pit, "reach > rad¦ius") == [place_of("pit_escape.yaml", "¦radius: 2.7 m")]

@@ -420,8 +420,7 @@ def test_links_of_the_readme_lead_into_the_repository_where_no_files_lie_beside_
 
 def test_an_unfinished_state_is_not_released(tmp_path: Path) -> None:
     (tmp_path / "old.whl").touch()
-    reasons = release.reasons_against(tmp_path)
-    assert f"{tmp_path.name} is not empty: remove it" in reasons
+    assert f"{tmp_path.name} is not empty: remove it" in release.reasons_against(tmp_path)
 
 
 def test_a_release_asks_for_the_page_of_the_repository(capsys: pytest.CaptureFixture[str]) -> None:

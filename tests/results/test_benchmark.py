@@ -115,8 +115,7 @@ def test_an_interval_is_over_seeds_and_over_episodes():
 
 
 def test_the_command_on_the_page_measures_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    places = Places(records=tmp_path, runs=tmp_path)
-    assert main(["--list", "benchmark"], places) == 0
+    assert main(["--list", "benchmark"], Places(records=tmp_path, runs=tmp_path)) == 0
     counted = re.findall(r"^(benchmark/\w+) +(\d+) missing$", capsys.readouterr().out, re.MULTILINE)
     cells = {task.experiment.name: sum(cell.training is not None for cell in task.cells) for task in TASKS}
     assert {name: int(number) for name, number in counted} == {

@@ -304,6 +304,20 @@ def arrays_of(observation: Any) -> list[np.ndarray[Any, Any]]:
     return [np.asarray(part, float) for part in parts]
 
 
+@contextmanager
+def robot_over_a_link(
+    scenario: str, program: Program, folder: Path, **settings: Any
+) -> Iterator[tuple[Any, SimulatedRobot]]:
+    """The world of a program, and its robot, which obeys an untrained policy of the scenario."""
+    outputs, readings = untrained_bundle(scenario)[0].outputs, sent_readings(program)
+    transport = Transport(zmq=f"ipc://{folder}/link")
+    with served(scenario, transport), closing(api.build(with_probes(program, readings))) as world:
+        sends = [(field_of(reading.info), None) for reading in readings]
+        receives = [_action(program), *((field_of(entry), None) for entry in outputs)]
+        with closing(transport.open(receives, sends, robot=True)) as link:  # type: ignore[arg-type]
+            yield world, SimulatedRobot(world, readings, outputs, link, patience=10, **settings)
+
+
 @pytest.mark.parametrize("scenario", few(SINGLE, WORLDS))
 def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_path: Path) -> None:
     step, learner, _ = untrained_bundle(scenario)
@@ -313,16 +327,8 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
         alone = list(
             itertools.islice(steps(world, PolicyDriver(learner, world), Start.of_evaluation(3, 0)), count)
         )
-    readings = sent_readings(program)
-    transport = Transport(zmq=f"ipc://{tmp_path}/link")
-    with served(scenario, transport), closing(api.build(with_probes(program, readings))) as world:
-        outputs = step.outputs
-        sends = [(field_of(reading.info), None) for reading in readings]
-        receives = [_action(program), *((field_of(entry), None) for entry in outputs)]
-        link = transport.open(receives, sends, robot=True)  # type: ignore[arg-type]
-        with closing(link):
-            robot = SimulatedRobot(world, readings, outputs, link, lockstep=True, patience=10)
-            over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), count))
+    with robot_over_a_link(scenario, program, tmp_path, lockstep=True) as (world, robot):
+        over_link = list(itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), count))
     assert [each.is_last for each in over_link] == [each.is_last for each in alone]
     for expected_step, actual_step in zip(alone, over_link, strict=True):
         assert actual_step.reward == pytest.approx(expected_step.reward, abs=1e-3)
@@ -334,18 +340,12 @@ def test_an_episode_over_a_link_is_that_of_the_environment(scenario: str, tmp_pa
 
 
 def test_a_step_after_a_late_one_is_not_shorter_and_the_late_one_is_counted(tmp_path: Path) -> None:
-    outputs = untrained_bundle("cartpole")[0].outputs
     program = robot_program(untrained_bundle("cartpole")[0].program)
-    readings, transport = sent_readings(program), Transport(zmq=f"ipc://{tmp_path}/link")
-    with served("cartpole", transport), closing(api.build(with_probes(program, readings))) as world:
-        receives = [_action(program), *((field_of(entry), None) for entry in outputs)]
-        sends = [(field_of(reading.info), None) for reading in readings]
-        with closing(transport.open(receives, sends, robot=True)) as link:  # type: ignore[arg-type]
-            robot = SimulatedRobot(world, readings, outputs, link, speed=0.2, patience=10)
-            period, times = program.period / 0.2, []
-            for step in itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), 5):
-                times.append(time.monotonic())
-                time.sleep(1.7 * period if step.number == 2 else 0.0)
+    period, times = program.period / 0.2, []
+    with robot_over_a_link("cartpole", program, tmp_path, speed=0.2) as (world, robot):
+        for step in itertools.islice(steps(world, robot, Start.of_evaluation(3, 0)), 5):
+            times.append(time.monotonic())
+            time.sleep(1.7 * period if step.number == 2 else 0.0)
     assert robot.late_steps == 1
     assert times[4] - times[3] > 0.7 * period
 

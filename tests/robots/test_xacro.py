@@ -585,8 +585,7 @@ def test_each_command_that_reads_a_robot_file_takes_the_argument_that_the_file_n
 def test_a_color_that_remains_in_an_expanded_file_is_a_warning():
     visual = '<visual><geometry><box size="1 1 1"/></geometry><xacro:gray/></visual>'
     findings = Findings()
-    source = Source("r.urdf", robot(f'<link name="a">{visual}{visual}</link>'))
-    root = parse(source, findings)
+    root = parse(Source("r.urdf", robot(f'<link name="a">{visual}{visual}</link>')), findings)
     assert root is not None
     assert expand(root, mesh_resolver(Path(".")), {}, findings) is not None
     root.report.report_repeated()

@@ -167,15 +167,6 @@ def test_a_controller_that_is_started_by_hand_is_found(
     assert option or words in ran.err
 
 
-def test_a_robot_whose_name_contains_an_equals_sign_is_given_a_controller(project: Project, monkeypatch: Any):
-    monkeypatch.chdir(project.folder)
-    project.write("worlds/w.wbt", HEADER + EXTERN.replace('name "cart"', 'name "cart=1"'))
-    project.write("b=2/c.py", CART)
-    ran = project.run("--controller", "cart=1=b=2/c.py", allow=False)
-    row = next(line.split() for line in ran.out.splitlines() if "cart=1" in line)
-    assert row[2:4] == ["c.py", "yes"]
-
-
 def test_a_handler_of_a_signal_warns_and_the_controller_goes_on(project: Project):
     project.controller("cart", CART)
     handler = "import signal, sys\nsignal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
@@ -359,6 +350,7 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
         (["--controller", "cart=nowhere.py"], "--controller cart=nowhere.py: there is no such file"),
         (["--controller", "cart"], "--controller cart: write ROBOT=FILE"),
         (["--controller", f"car={__file__}"], "--controller car=...: the robots of the world are boss, cart"),
+        (["--controller", f"c=1={__file__}"], "--controller c=1=...: the robots of the world are boss, cart"),
     ],
 )
 def test_wrong_options_are_refused(project: Project, options: list[str], words: str):

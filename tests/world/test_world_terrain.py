@@ -335,8 +335,7 @@ def test_a_robot_finds_a_level_platform_in_the_middle_of_each_tile(
     count = round(side / CELL) + 1
     assert whole.shape == (count, count)
     assert not np.any([whole[0], whole[-1], whole[:, 0], whole[:, -1]])
-    along = np.linspace(-side / 2, side / 2, count)
-    in_platform = np.abs(along) < platform / 2
+    in_platform = np.abs(np.linspace(-side / 2, side / 2, count)) < platform / 2
     assert not in_platform.any() or np.ptp(whole[np.ix_(in_platform, in_platform)]) == 0.0
 
 
@@ -354,8 +353,7 @@ def test_stairs_climb_a_step_for_each_tread(inverted: float) -> None:
 def test_a_slope_has_its_angle() -> None:
     terrain = tiles("slope", angle=(0.0, 0.4), inverted=(0.0, 0.0))
     for level, angle in enumerate(np.linspace(0.0, 0.4, LEVELS)):
-        line = along_x(terrain, level)
-        rising = np.diff(line)[: round((SIDE - PLATFORM) / 2 / CELL)]
+        rising = np.diff(along_x(terrain, level))[: round((SIDE - PLATFORM) / 2 / CELL)]
         assert rising == pytest.approx(math.tan(angle) * CELL, abs=1e-12)
 
 
@@ -674,8 +672,7 @@ def test_a_line_that_crosses_itself_is_followed_straight_on() -> None:
 def test_outside_of_a_sharp_corner_the_side_stays(closed: bool, mirror: float) -> None:
     """On an arc around a corner of a triangle, which turns by 120 deg; mirrored, the other side is left."""
     corners = tuple((math.cos(a), mirror * math.sin(a)) for a in (0.0, 2 * math.pi / 3, 4 * math.pi / 3))
-    line = Line("triangle", (*corners[2:], *corners[:2]), closed=closed, width=0.02)
-    follow = Follower(line)
+    follow = Follower(Line("triangle", (*corners[2:], *corners[:2]), closed=closed, width=0.02))
     for degree in range(-59, 60):
         angle = math.radians(degree)
         beside, _ = follow((1.0 + 0.3 * math.cos(angle), 0.3 * math.sin(angle)))
@@ -715,8 +712,7 @@ SHAPES = [
 def test_columns_have_the_heights_of_single_points_to_the_bit(
     shape: TerrainShape, diagonal: Diagonal
 ) -> None:
-    numbers = np.random.default_rng(1)
-    x, y = numbers.uniform(-6.0, 6.0, (2, 3000))  # beyond the terrain, too
+    x, y = np.random.default_rng(1).uniform(-6.0, 6.0, (2, 3000))  # beyond the terrain, too
     x[:200] = np.round(x[:200] / 0.05) * 0.05  # on the lines of the grid
     y[:100] = np.round(y[:100] / 0.05) * 0.05
     at = ground_height(Terrain(shape), diagonal)
