@@ -209,6 +209,14 @@ def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Pa
     assert mark.checks[0].reason.startswith("not changed yet; sense.yaml:7:5: ")
 
 
+def test_a_world_that_is_not_handed_in_is_no_mistake_of_an_unchanged_file(
+    lesson: Lesson, tmp_path: Path
+) -> None:
+    put(tmp_path / "own", sense=SENSE.replace("name: Own", "extends: world.yaml\nname: Own") % "{}")
+    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("sense")
+    assert {check.reason for check in mark.checks} == {"not changed yet"}
+
+
 @pytest.mark.parametrize("lesson", shipped_lessons(), ids=lambda lesson: lesson.name)
 def test_a_sentence_of_a_failed_check_has_only_values_that_its_test_compares(
     lesson: Lesson, tmp_path: Path
