@@ -89,6 +89,12 @@ def test_a_sound_robot_is_read_without_a_word(read_text):
     assert (elbow.axis, elbow.damping, elbow.friction) == (pytest.approx((0, 0.6, 0.8)), 0.1, 0.2)
 
 
+def test_an_axis_that_was_rounded_when_it_was_written_has_the_length_1(read_text):
+    """PyBullet prints a warning for another one."""
+    robot, _ = read_text(ARM.replace('"0 3 4"', '"4.80973e-07 -0.999999999999 1.207713e-06"'))
+    assert abs(math.hypot(*robot.model.joint("elbow").axis) - 1) < 3e-16
+
+
 def test_a_velocity_or_effort_of_zero_means_that_none_is_stated(read_text):
     robot, _ = read_text(ARM)
     assert robot.model.joint("elbow").limit == Limit(-1.0, 2.0, None, 5.0)
