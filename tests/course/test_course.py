@@ -418,8 +418,12 @@ def test_a_process_that_another_program_ends_leaves_its_step_unmarked(
 ) -> None:
     def ended(*arguments: str, **options: Any) -> Process:
         process = Process(*arguments, **options)
-        threading.Timer(0.5, os.kill, (process.pid, signal.SIGTERM)).start()
+        threading.Timer(0.5, end, (process.pid,)).start()
         return process
+
+    def end(number: int) -> None:
+        with suppress(ProcessLookupError):  # it has ended by itself
+            os.kill(number, signal.SIGTERM)
 
     monkeypatch.setattr(grading, "Process", ended)
     (marks,) = json.loads(deepbots("grade", slow.folder, slow.folder / "solution", "--json", code=1).out)
