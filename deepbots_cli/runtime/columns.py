@@ -166,8 +166,9 @@ class BatchMemory:
             self._waiting[world] = waits
         if waits:
             return
-        if isinstance(values[0], bool | np.bool_) and self._kept.dtype != bool:
-            self._kept = self._kept.astype(bool)
+        # Not the type of the last argument: that of `previous(step, 0.5)` is an integer.
+        kind = bool if isinstance(values[0], bool | np.bool_) else float
+        self._kept = self._kept.astype(kind, copy=False)
         self._kept[:, world] = values
 
     def update(self, *arguments: Any) -> Any:
