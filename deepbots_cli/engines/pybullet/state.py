@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from deepbots_cli.program.world import Color, EngineParameter, WorldModel
     from deepbots_cli.robots.model import Friction, Link, RobotModel
 
+MOVING, STATIC = 1, 2
+"""PyBullet's collision groups: the second is that of fixed roots."""
+
 
 @dataclass(frozen=True)
 class Dynamics:
@@ -57,6 +60,7 @@ class Body:
     def __init__(self, name: str, number: int, model: RobotModel, fixed: bool, client: int) -> None:
         self.name = name
         self.own_pairs: tuple[tuple[int, int], ...] = ()
+        self.group: int | None = None
         self._is_deactivated = False
         self.number = number
         self.model = model
@@ -93,6 +97,16 @@ class Body:
             info = p.getDynamicsInfo(self.number, index, self._client)
             self._dynamics[index] = Dynamics(info[0], info[2], (info[3], info[4]))
         return self._dynamics[index]
+
+    def forget_pairs(self) -> None:
+        """Set the groups of all links, after which PyBullet pairs them anew with what they may touch.
+
+        It otherwise keeps most pairs that are no longer close, with the caches of their collision tests.
+        """
+        for index in self.links.values():
+            # As PyBullet loads them: links that are fixed to a fixed root touch static bodies.
+            group, mask = (STATIC, ~STATIC) if self.fixed and index == BASE_LINK else (MOVING, -1)
+            p.setCollisionFilterGroupMask(self.number, index, self.group or group, mask, self._client)
 
     def link(self, index: int) -> Link:
         return self.model.link(next(name for name, number in self.links.items() if number == index))

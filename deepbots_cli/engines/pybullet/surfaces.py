@@ -238,10 +238,6 @@ def clearance(client: int, first: LinkKey, second: LinkKey) -> ClearanceReader:
 # Rays
 
 FIRST_GROUP, LAST_GROUP = 6, 30  # bits of a collision group that the library leaves free
-ALL_GROUPS = -1
-"""The mask of moving bodies."""
-ALL_BUT_STATIC = ~2
-"""The mask of static bodies."""
 MAX_CORRECTION_M = 0.05  # m; farther from PyBullet's answer a closed form has met another surface
 RoundShape = Sphere | Cylinder | Capsule
 
@@ -253,7 +249,7 @@ class Rays:
     def __init__(self, client: int, bodies: Sequence[Body], read_cache: ReadCache) -> None:
         self._client = client
         self._cache = read_cache
-        self._groups: dict[int, int] = {}
+        self._free_groups = iter(range(FIRST_GROUP, LAST_GROUP + 1))
         self._round_surfaces = {
             (body.number, index): rounded
             for body in bodies
@@ -341,18 +337,16 @@ class Rays:
 
     def _collision_group_bit(self, body: Body) -> int:
         """Return the bit of a body's own group; its collisions stay the same."""
-        if body.number not in self._groups:
-            group = FIRST_GROUP + len(self._groups)
-            if group > LAST_GROUP:
+        if body.group is None:
+            group = next(self._free_groups, None)
+            if group is None:
                 raise EngineError(
                     f"PyBullet supports {LAST_GROUP - FIRST_GROUP + 1} robots with rays, and '{body.name}'"
                     " is one more"
                 )
-            self._groups[body.number] = 1 << group
-            for name, index in body.links.items():
-                mask = ALL_BUT_STATIC if name in body.static_links else ALL_GROUPS
-                p.setCollisionFilterGroupMask(body.number, index, 1 << group, mask, self._client)
-        return self._groups[body.number]
+            body.group = 1 << group
+            body.forget_pairs()
+        return body.group
 
 
 @dataclass(frozen=True)
