@@ -19,7 +19,7 @@ from deepbots_cli.analysis.returns import return_range
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.errors import EndsAtResetError, EvaluationError
 from deepbots_cli.expressions.functions import FUNCTIONS
-from deepbots_cli.expressions.intervals import EVERYTHING, Interval, multiply
+from deepbots_cli.expressions.intervals import EVERYTHING, INF, Interval, multiply
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, children, is_drawn, walk
 from deepbots_cli.expressions.types import Constant, Invocation, Operation, TypedNode, ValueType
 from deepbots_cli.expressions.types import children as typed_children
@@ -44,7 +44,7 @@ _OF_THE_END = frozenset({"terminated", "truncated", "ended", "episode_return", "
 
 def within(value: float, interval: Interval) -> bool:
     """Return whether a value lies in an interval, but for rounding."""
-    slack = _ROUNDING * max(1.0, abs(value))
+    slack = _ROUNDING * max(1.0, abs(value)) if abs(value) < INF else 0.0
     return interval.low - slack <= value <= interval.high + slack
 
 
