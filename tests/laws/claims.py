@@ -87,7 +87,9 @@ class Probe:
 def probes_of(analysis: Analysis) -> list[Probe]:
     """Return a probe for each part of each expression of the supervisor that has a value in every step."""
     program = analysis.program
-    hidden = {*_OF_THE_END, "achieved", "desired"} | {ending.name for ending in program.endings}
+    hidden = {*_OF_THE_END, "achieved", "desired", "goal_reached"} | {
+        ending.name for ending in program.endings
+    }
     probes: dict[int, Probe] = {}
 
     def add(tree: Scalar, text: str, stated: Iterable[Interval] = ()) -> None:
