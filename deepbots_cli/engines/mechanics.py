@@ -349,8 +349,8 @@ class Segment(NamedTuple):
 
 
 class Chain:
-    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way, and
-    joints beside it that these follow; `driven` of them may be solved for."""
+    """The chain from the root of a robot to one of its links. `moving_joints` names the joints on the way,
+    and joints beside it that these follow; `driven` of them may be solved for."""
 
     def __init__(self, model: RobotModel, link: str, driven: Sequence[str]) -> None:
         path = _path(model, link)

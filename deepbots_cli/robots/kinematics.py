@@ -1,5 +1,6 @@
 """Where the links and shapes of a robot are: frames of links, bounding boxes, the height at which a body
-rests, its center of mass, what a joint moves, and which links may touch each other. Lengths are in m, angles in rad.
+rests, its center of mass, what a joint moves, and which links may touch each other. Lengths are in m,
+angles in rad.
 
 Link frames do not use yourdfpy: lint needs them and imports no numpy.
 """

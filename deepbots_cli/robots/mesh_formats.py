@@ -156,8 +156,8 @@ _MAX_LINES = 400_000
 
 
 def is_plain_obj(data: bytes) -> bool:
-    """Return whether each vertex and face of an OBJ file is a line without a comment; PyBullet and trimesh read
-    no others."""
+    """Return whether each vertex and face of an OBJ file is a line without a comment; PyBullet and trimesh
+    read no others."""
     return re.search(rb"(?m)^[ \t]*[vf][ \t][^\n]*(?:#|\\\r?$)", data) is None
 
 

@@ -649,8 +649,8 @@ def _axis(joint: Element, kind: JointType) -> Vector:
             help="write the direction the joint turns about or slides along",
         )
         return (1.0, 0.0, 0.0)
-    # A unit axis keeps its digits: dividing again by a rounded length could change what `to_urdf` wrote. PyBullet
-    # prints a warning for each axis that is 5e-16 longer or shorter than 1.
+    # A unit axis keeps its digits: dividing again by a rounded length could change what `to_urdf` wrote.
+    # PyBullet prints a warning for each axis that is 5e-16 longer or shorter than 1.
     return (x, y, z) if abs(length - 1) < 4e-16 else (x / length, y / length, z / length)
 
 

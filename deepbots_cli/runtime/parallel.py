@@ -161,7 +161,7 @@ class Window:
         self._pyplot = pyplot
         self._period = period
         self._due = 0.0
-        # Without the file `matplotlibrc` of the current folder, and without a change of the caller's settings.
+        # Without the `matplotlibrc` of the current folder, and without a change of the caller's settings.
         with pyplot.style.context("default"):
             self._figure = pyplot.figure(layout="tight")
         if self._figure.canvas.manager is not None:

@@ -210,8 +210,8 @@ def law(
 
 
 class Attempt(NamedTuple):
-    """One law on the scenarios of one seed, the pairs that these had, and their `OUTCOMES`; `failure` is empty
-    where it holds."""
+    """One law on the scenarios of one seed, the pairs that these had, and their `OUTCOMES`; `failure` is
+    empty where it holds."""
 
     law: str
     seed: int

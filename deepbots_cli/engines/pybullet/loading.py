@@ -420,7 +420,8 @@ def _within_margin(piece: Geometry, folder: Path) -> Geometry:
 
 def _readable(mesh: Mesh, folder: Path) -> Mesh:
     """Return a mesh as a file that the library reads as deepbots does: an OBJ file for COLLADA, whose nodes
-    it composes otherwise, and for an STL file of text or an OBJ file that is not plain, which it does not read."""
+    it composes otherwise, and for an STL file of text or an OBJ file that is not plain, which it does not
+    read."""
     suffix, data = Path(mesh.path).suffix.lower(), read_verified(mesh)
     if (suffix == ".obj" and is_plain_obj(data)) or (suffix == ".stl" and not is_text_stl(data)):
         return mesh
