@@ -418,7 +418,7 @@ def test_a_process_that_another_program_ends_leaves_its_step_unmarked(
 ) -> None:
     def ended(*arguments: str, **options: Any) -> Process:
         process = Process(*arguments, **options)
-        threading.Timer(0.5, end, (process.pid,)).start()
+        threading.Timer(0.1, end, (process.pid,)).start()
         return process
 
     def end(number: int) -> None:

@@ -104,8 +104,10 @@ class Body:
         It otherwise keeps most pairs that are no longer close, with the caches of their collision tests.
         """
         for index in self.links.values():
-            # As PyBullet loads them: links that are fixed to a fixed root touch static bodies.
-            group, mask = (STATIC, ~STATIC) if self.fixed and index == BASE_LINK else (MOVING, -1)
+            # As PyBullet does when it loads them: links that are fixed to a fixed root touch static bodies. A
+            # body without mass is static.
+            is_static = index == BASE_LINK and (self.fixed or self._is_deactivated)
+            group, mask = (STATIC, ~STATIC) if is_static else (MOVING, -1)
             p.setCollisionFilterGroupMask(self.number, index, self.group or group, mask, self._client)
 
     def link(self, index: int) -> Link:
