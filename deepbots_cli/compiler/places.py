@@ -266,11 +266,16 @@ class Places(NamespaceReader):
     def _check_spread(self, place: Placement, group: ObjectGroup, path: NodePath) -> None:
         """Report DB105 if several copies of a group may be placed at the same coordinates."""
         copies = group.capacity if place.at_most is None else min(group.capacity, place.at_most)
-        if any(self._values.is_present((*path, key)) for key in ("region", "line", "grid", "on")):
-            return  # there would be spots, were it not for a finding
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        is_fixed = all(constant_values(coordinate.typed) is not None for coordinate in plane)
-        if copies > 1 and is_fixed and place.spot is None and not any(place.spacing):
+        keys = ("region", "grid", "on") if plane else ("region", "line", "grid", "on")
+        if any(self._values.is_present((*path, key)) for key in keys):
+            return  # there would be spots, or the beginning of a line, were it not for a finding
+        if (
+            copies > 1
+            and place.spot is None
+            and not any(place.spacing)
+            and all(constant_values(coordinate.typed) is not None for coordinate in plane)
+        ):
             self._values.add_at_key(
                 "DB105",
                 path,
