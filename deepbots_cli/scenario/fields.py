@@ -334,8 +334,7 @@ class ColorValue(FieldType):
                 raise error("DB104", f"unknown color `{word[:40]}`", help, replacement=near)
 
     def json_schema(self) -> JsonSchema:
-        words = "|".join(COLORS)
-        schema = self._matching(rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{words})\s*$")
+        schema = self._matching(rf"^\s*(#[0-9a-fA-F]{{6}}|choice\(.*\)|{'|'.join(COLORS)})\s*$")
         return schema | {
             "patternErrorMessage": "expected a color: a word such as `red`, `'#ffa500'`, or `choice(red |"
             " green)`"
@@ -399,20 +398,24 @@ class Name(FieldType):
     def check(self, value: Any) -> None:
         if not re.fullmatch(NAME_PATTERN, value):
             suggestion = suggested_name(value)
+            suggestion += "_value" if self._reserved_as(suggestion) else ""
             help = "a name has only lower-case letters, digits and `_`, and does not begin with a digit"
             if re.fullmatch(NAME_PATTERN, suggestion):
                 help = f"write `{suggestion}`: {help}"
             raise error("DB105", f"`{value[:40]}` cannot be a name", help)
         if len(value) > MAX_NAME_LENGTH:
             raise error("DB105", f"a name of {len(value)} characters", f"use at most {MAX_NAME_LENGTH}")
-        if self.shared or self.on_board:
-            for noun, names in RESERVED_NAMES.items():
-                if value in names and (self.shared or noun != "built in"):
-                    raise error(
-                        "DB202",
-                        f"the name `{value}` is reserved: it is {noun}",
-                        f"choose another name, such as `{value}_value`",
-                    )
+        if noun := self._reserved_as(value):
+            raise error(
+                "DB202",
+                f"the name `{value}` is reserved: it is {noun}",
+                f"choose another name, such as `{value}_value`",
+            )
+
+    def _reserved_as(self, name: str) -> str:
+        """Return what a reserved name is; an empty text for a name that is free."""
+        nouns = (noun for noun, names in RESERVED_NAMES.items() if name in names)
+        return next((noun for noun in nouns if self.shared or (self.on_board and noun != "built in")), "")
 
     def json_schema(self) -> JsonSchema:
         about = "A name of your choice: lower-case letters, digits and `_`, not beginning with a digit."
