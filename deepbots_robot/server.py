@@ -540,7 +540,9 @@ class Intake:
         return [
             name
             for name, each in self.inputs.items()
-            if (now - self._states[name].received) * self._speed > each.max_age
+            # A goal never becomes too old, and may be missing.
+            if (each.is_needed and self._states[name].value is None)
+            or (now - self._states[name].received) * self._speed > each.max_age
         ]
 
     def ages(self, now: float) -> dict[str, float]:

@@ -47,7 +47,7 @@ from deepbots_robot import serving, websocket, zeromq
 from deepbots_robot.__main__ import main
 from deepbots_robot.link import About, Array, Arrival, Link, Remark
 from deepbots_robot.log import LogWriter, read_log
-from deepbots_robot.server import Input, Output, Server, report_lines
+from deepbots_robot.server import Input, Intake, Output, Server, report_lines
 from deepbots_robot.serving import Notes, Transport
 from deepbots_robot.topics import Field
 from tests.bundle.untrained import write_bundle
@@ -323,6 +323,17 @@ def test_a_robot_that_is_silent_after_a_reset_gets_the_safe_posture() -> None:
     answers = world.run(101.5)
     assert {tuple(command) for _, command in answers} == {(0.0, 0.0)}
     assert answers[0][0] <= 101.2
+
+
+def test_a_policy_whose_goal_nobody_has_set_does_not_act_after_a_reset() -> None:
+    world = World()
+    goal = Input(Field("target", "", "value", "m", (1,)), "float64", *np.array([[0.0], [1.0]]), np.inf, False)
+    world.server.intake = Intake((*INPUTS, goal))
+    world.line.coming.append((100.0, Arrival("e", stamp=100.0, kind="reset", number=1)))
+    for step in range(1, 100):
+        world.line.put(100.0 + step / RATE, 0.3)
+    assert {tuple(command) for _, command in world.run(102.0)} == {(0.0, 0.0)}
+    assert world.events[-1] == ("safe", "no new value of target")
 
 
 def test_in_lockstep_there_is_one_answer_for_each_moment_however_long_it_takes() -> None:
