@@ -87,11 +87,12 @@ def copies(namespace: Namespace) -> RobotCopies | None:
     name = spec.agent.each
     values = namespace.values
     for robot, robot_spec in spec.robots.items():
-        if robot_spec.count is not None and robot != name and not values.is_invalid("each"):
+        keys = [key for key in ("count", "spacing") if getattr(robot_spec, key) is not None]
+        if keys and robot != name and not values.is_invalid("each"):
             help = f"write `agent: {{each: {robot}}}`: one policy then acts for every copy"
             values.add_at_key(
                 "DB108",
-                ("robots", robot, "count"),
+                ("robots", robot, keys[0]),
                 f"copies of `{robot}` need `agent: {{each: {robot}}}`",
                 help,
             )

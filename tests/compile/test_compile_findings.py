@@ -196,6 +196,9 @@ OF_CARTPOLE: list[tuple[str, Edits]] = [
     ("DB203", (robot('joints: {"wheel_*": {range: -1 .. 1 rad}}'),)),
     ("DB503", (robot("joints: {pole_hinge: {armature: 0.1 kg}}"),)),
     ("DB105", (robot("joints: {pole_hinge: {armature: -1 kg*m^2}}"),)),
+    # Copies without the policy that acts for them.
+    ("DB108:count", (robot("count: 2"), robot("spacing: 0 1 0 m"))),
+    ("DB108:spacing", (robot("spacing: 0 1 0 m"),)),
 ]
 ERRORS_OF_CARTPOLE = [  # What cannot be computed is one error, whatever else follows.
     *(
