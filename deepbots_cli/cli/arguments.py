@@ -3,6 +3,7 @@ processes of `--workers` and `--cluster`."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -234,14 +235,15 @@ def scenario_names(arguments: Iterable[str], project: Settings) -> list[str]:
     Raises:
         UsageError: A scenario does not exist, or a folder has no scenario.
     """
-    names: dict[str, None] = {}
+    names: dict[str, str] = {}
     for argument in arguments:
         is_folder = argument != STDIN and Path(argument).is_dir()
-        names |= dict.fromkeys(map(str, scenarios_in(Path(argument), project)) if is_folder else [argument])
-    for name in names:
+        for name in map(str, scenarios_in(Path(argument), project)) if is_folder else [argument]:
+            names.setdefault(os.path.abspath(name), name)  # `a.yaml` is `./a.yaml`
+    for name in names.values():
         if name != STDIN and not is_robot(name):
             Source.open(name, Permissions(), SourceKind.SCENARIO)
-    return list(names)
+    return list(names.values())
 
 
 def check_dividable(workers: int | None, address: str | None, count: int, reason: str) -> None:
@@ -250,13 +252,8 @@ def check_dividable(workers: int | None, address: str | None, count: int, reason
     Raises:
         UsageError: There are workers for `count` parts, fewer than two; `reason` is the cause.
     """
-    if workers is not None:
-        option = "--workers"
-    elif address is not None:
-        option = "--cluster"
-    else:
-        option = None
-    if option is not None and count < 2:
+    if count < 2 and (workers, address) != (None, None):
+        option = "--cluster" if workers is None else "--workers"
         raise UsageError(f"{option} has nothing to divide, since {reason}")
 
 

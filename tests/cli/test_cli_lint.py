@@ -114,6 +114,13 @@ def test_folders_in_folders_by_the_hundred_are_searched_without_a_fault(deepbots
     assert (ran.out[:10], ran.err) == ("real.yaml:", "")
 
 
+def test_a_file_that_is_named_in_two_ways_is_linted_once(deepbots, tmp_path, monkeypatch):
+    (tmp_path / "a.yaml").write_text("deepbots: 1\n")
+    monkeypatch.chdir(tmp_path)
+    once = deepbots("lint", "a.yaml", code=1).out
+    assert deepbots("lint", "a.yaml", "./a.yaml", tmp_path / "a.yaml", code=1).out == once
+
+
 @pytest.mark.parametrize("format", ["github", "sarif", "junit"])
 def test_a_report_for_other_programs_goes_to_standard_output_and_is_the_same_each_time(
     deepbots, tmp_path, format
