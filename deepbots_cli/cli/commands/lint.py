@@ -144,7 +144,7 @@ def command(
         option(
             "--exploits",
             "Also search for exploits of the reward: episodes without success that pay more than a success."
-            " Recordings of them are kept in ./exploits.",
+            " Recordings of them, and a record of the search, are kept in ./exploits.",
         ),
     ] = False,
     fix: Annotated[bool, option("--fix", "Apply the safe fixes to the files.")] = False,
