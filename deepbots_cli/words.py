@@ -15,7 +15,7 @@ def counted(count: int, noun: str) -> str:
 def number_text(value: float, digits: int = 4, *, sign: str = "") -> str:
     """Return a number with so many digits, or a larger one as a whole number: `12.35`, `12,346`. `sign` is
     `+` for a sum or a difference."""
-    text = f"{value:{sign}.{digits}g}"
+    text = f"{value:{sign}z.{digits}g}"
     return f"{value:{sign},.0f}" if "e+" in text and abs(value) < 1e15 else text
 
 

@@ -83,7 +83,7 @@ def engines_table(pairs: Sequence[EngineDifference]) -> str:
 
 def number(value: float) -> str:
     """Return a number with two decimals; four if returns are small."""
-    return f"{value:.4f}" if 0 < abs(value) < 1 else f"{value:.2f}"
+    return f"{value:z.4f}" if 0 < abs(value) < 1 else f"{value:z.2f}"
 
 
 def percent(share: float) -> str:
@@ -187,7 +187,7 @@ def _training_rows(result: TrainingResult) -> dict[str, object]:
         if by_value := result.levels.by_value:
             rows["mean levels"] = ", ".join(f"{mean:.2f} with {value}" for value, mean in by_value.items())
     if result.mean_return is not None:
-        mean = agents_text(result.agents) if result.agents else f"{result.mean_return:.1f}"
+        mean = agents_text(result.agents) if result.agents else f"{result.mean_return:z.1f}"
         rows["mean return"] = f"{mean} over the most recent training episodes, with exploration"
     by_callback = result.stopped_by if result.stopped_by == PATIENCE else f"the callback {result.stopped_by}"
     rows["stopped by"] = result.stopped_by and by_callback

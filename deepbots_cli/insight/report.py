@@ -143,7 +143,7 @@ class ReportEpisode:
     def title(self) -> str:
         seed = f"seed {self.shown.run.record.seed}, " if self.label else ""
         return (
-            f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:.2f},"
+            f"{self.label}: {seed}episode {self.number}, return {self.outcome.total_return:z.2f},"
             f" {self.outcome.ended_by}"
         )
 

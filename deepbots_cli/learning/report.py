@@ -328,7 +328,7 @@ def progress_values(
     if progress.agents:
         values["return"] = agents_text(progress.agents)
     elif progress.mean_return is not None:
-        values["return"] = text = f"{progress.mean_return:.1f}"
+        values["return"] = text = f"{progress.mean_return:z.1f}"
         if solved and (bar := solved.mean_return) is not None:
             is_same_side = (progress.mean_return < bar) == (float(text) < bar)
             values["return"] = (

@@ -359,13 +359,13 @@ class Panel:
         playback = self._playback
         if not playback.by_hand:
             return ""
-        best = f", best return {playback.best_return:.2f}" if playback.played else ""
+        best = f", best return {playback.best_return:z.2f}" if playback.played else ""
         lines = [f"played {playback.played}, successes {playback.successes}{best}"]
         if playback.rival is not None:
             rival = playback.rival.frame
             state = f" ({rival.ending} after {rival.time:.1f} s)" if rival.ended_by else ""
             lines.append(
-                f"{playback.rival.driver_name}: {rival.agents[self._agent.name].episode_return:.2f}{state}"
+                f"{playback.rival.driver_name}: {rival.agents[self._agent.name].episode_return:z.2f}{state}"
             )
         if playback.driven is not None:
             lines.append(playback.driven.note)

@@ -22,10 +22,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import compile
+from deepbots_cli.cli import records
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.runs import statistics as stats
 from deepbots_cli.learning.runs.curriculum import Curriculum, CurriculumState
-from deepbots_cli.learning.runs.episodes import EpisodeLog, Generations, Statistics, StatisticsState, Summary
+from deepbots_cli.learning.runs.episodes import (
+    EpisodeLog,
+    Generations,
+    Statistics,
+    StatisticsState,
+    Summary,
+    agents_text,
+)
 from deepbots_cli.learning.runs.evaluations import DrawLabel, DrawnEffects, draw_labels, drawn_effects
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved
@@ -48,6 +56,10 @@ def test_one_failure_is_not_shown_as_none(rate: float, text: str):
 )
 def test_a_large_number_is_shown_without_an_exponent(value: float, text: str):
     assert number_text(value, 3) == text
+
+
+def test_a_small_negative_number_is_not_shown_as_minus_zero() -> None:
+    assert (number_text(-0.0), agents_text({"red": -0.04}), records.number(-0.0)) == ("0", "red 0.0", "0.00")
 
 
 @pytest.mark.parametrize(

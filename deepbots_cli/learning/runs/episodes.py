@@ -728,4 +728,4 @@ def agent_returns(members: Mapping[str, Member], term_means: Mapping[str, float]
 
 def agents_text(returns: Mapping[str, float]) -> str:
     """Return the mean return of each agent in words: `hunter 1.7, prey -1.7`."""
-    return ", ".join(f"{name} {value:.1f}" for name, value in returns.items())
+    return ", ".join(f"{name} {value:z.1f}" for name, value in returns.items())
