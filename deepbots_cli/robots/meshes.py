@@ -14,6 +14,7 @@ import hashlib
 from array import array
 from bisect import bisect
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from functools import lru_cache
 from itertools import accumulate, chain, product
 from pathlib import Path
@@ -209,14 +210,16 @@ def read_verified(mesh: Mesh) -> bytes:
     return data
 
 
-@lru_cache(maxsize=1000)
 def mesh_bounds(mesh: Mesh) -> Bounds | None:
     """Return the box around a scaled mesh, m; None if the file is missing or changed."""
-    try:
-        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
-    except EngineError:
-        return None
-    return scaled_box(_box(numbers), mesh.scale)
+    with suppress(EngineError):
+        return _bounds(mesh)
+    return None
+
+
+@lru_cache(maxsize=1000)  # an exception is not cached: the file may be there later
+def _bounds(mesh: Mesh) -> Bounds:
+    return scaled_box(_box(_verified_coordinates(mesh)), mesh.scale)
 
 
 def scaled_box(box: Bounds, scale: Vector) -> Bounds:
@@ -233,17 +236,20 @@ def _box(numbers: Sequence[float]) -> Bounds:
     return (x, y, z), (x_end, y_end, z_end)
 
 
-@lru_cache(maxsize=64)
 def mesh_vertices(mesh: Mesh) -> tuple[Vector, ...]:
     """Return the vertices of a scaled mesh, m: the convex hull of a mesh is that of its vertices.
 
     A mesh with more than `MAX_EXACT_VERTICES` of them gives the corners of its box; a file that is missing or
     changed gives none.
     """
-    try:
-        numbers = _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
-    except EngineError:
-        return ()
+    with suppress(EngineError):
+        return _vertices(mesh)
+    return ()
+
+
+@lru_cache(maxsize=64)
+def _vertices(mesh: Mesh) -> tuple[Vector, ...]:
+    numbers = _verified_coordinates(mesh)
     axes = [numbers[axis::3] for axis in range(3)]
     own: Iterable[tuple[float, ...]] = (
         set(zip(*axes, strict=True))
@@ -254,12 +260,22 @@ def mesh_vertices(mesh: Mesh) -> tuple[Vector, ...]:
     return tuple((a * x, b * y, c * z) for x, y, z in own)
 
 
-@lru_cache(maxsize=4096)
 def mesh_reach(mesh: Mesh, direction: Vector) -> float:
     """Return how far the vertices of a mesh reach from its origin along a unit vector, m; 0 for a file that
     is missing or changed."""
+    with suppress(EngineError):
+        return _reach(mesh, direction)
+    return 0.0
+
+
+@lru_cache(maxsize=4096)
+def _reach(mesh: Mesh, direction: Vector) -> float:
     a, b, c = direction
-    return max((a * x + b * y + c * z for x, y, z in mesh_vertices(mesh)), default=0.0)
+    return max((a * x + b * y + c * z for x, y, z in _vertices(mesh)), default=0.0)
+
+
+def _verified_coordinates(mesh: Mesh) -> array[float]:
+    return _coordinates(Path(mesh.path).suffix.lower(), read_verified(mesh))
 
 
 # Content

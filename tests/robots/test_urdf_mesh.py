@@ -36,7 +36,7 @@ from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.robots import meshes, packages
 from deepbots_cli.robots.mesh_formats import FaultyMeshError, gltf_triangles, read_gltf
-from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds
+from deepbots_cli.robots.meshes import MAX_BYTES, mesh_bounds, mesh_reach, mesh_vertices
 from deepbots_cli.robots.model import (
     Box,
     Capsule,
@@ -814,6 +814,17 @@ def test_a_file_of_trimesh_gives_its_triangles(tmp_path: Path, suffix: str):
     assert corners.shape == expected.triangles.shape
     assert np.sort(corners.sum((1, 2))) == pytest.approx(np.sort(expected.triangles.sum((1, 2))), abs=1e-5)
     assert np.ravel(mesh_bounds(mesh)) == pytest.approx(expected.bounds.ravel(), abs=1e-6)
+
+
+def test_a_mesh_that_is_missing_for_a_while_is_read_once_it_is_there(tmp_path: Path):
+    trimesh.creation.box((1, 2, 3)).export(tmp_path / "m.stl")
+    mesh, _ = with_mesh(tmp_path, "m.stl")
+    assert mesh is not None
+    moved = (tmp_path / "m.stl").rename(tmp_path / "moved.stl")
+    assert (mesh_bounds(mesh), mesh_vertices(mesh), mesh_reach(mesh, (1, 0, 0))) == (None, (), 0)
+    moved.rename(tmp_path / "m.stl")
+    assert mesh_bounds(mesh) == ((-0.5, -1, -1.5), (0.5, 1, 1.5))
+    assert (len(mesh_vertices(mesh)), mesh_reach(mesh, (1, 0, 0))) == (8, 0.5)
 
 
 def test_buffers_in_the_text_and_beside_the_file_give_the_same(tmp_path: Path):
