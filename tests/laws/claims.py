@@ -237,8 +237,7 @@ def with_every_value(program: Program) -> Iterator[None]:
 def every_value_is_within_its_interval(case: Case) -> None:
     """An interval contains every value that it is stated for: in any step, right after a reset, in a known
     step, and within limits of speed. Rounding is excepted: the analysis folds in another order."""
-    compiled = case.compile()
-    program = compiled.program
+    program = case.compile().program
     analysis = Analysis(program)
     probes = probes_of(analysis)
     probes = [
@@ -378,8 +377,7 @@ def every_observation_is_as_stated(case: Case) -> None:
 def an_ending_comes_as_lint_says(case: Case) -> None:
     """An ending that lint calls impossible, or too late, never comes; one that is always true, or true when
     an episode begins, lets no episode begin; one that comes before another always does."""
-    source = case.write(with_bold_endings(case), "bold.yaml")
-    checked = api.load(source)
+    checked = api.load(case.write(with_bold_endings(case), "bold.yaml"))
     findings = all_findings(checked, preview=True)
     program = checked.program
     if program is None or any(one.severity == "error" and one.code not in AT_RESET for one in findings):

@@ -299,8 +299,7 @@ def another_layout_is_the_same_scenario(case: Case) -> None:
 def fmt_changes_white_space_only(case: Case) -> None:
     """`deepbots fmt` is for readers: a second time it finds nothing to do, and it keeps values and
     comments."""
-    data = spoiled(case, data_of(case))
-    text = case.draw(layouts(data))
+    text = case.draw(layouts(spoiled(case, data_of(case))))
     expected = Meaning.of(case.write(text))
     tidy = canonical_text(text)
     assert tidy is not None, text

@@ -349,8 +349,7 @@ def test_each_world_has_one_value_of_a_parameter(tmp_path: Path, engine: str) ->
         "action={drive: {choices: {forward: 1, fast: 1}}}",
     )
     result = train(task, run=tmp_path / "run", engine=engine)
-    rows = monitor_rows(result.run)
-    drawn = [json.loads(row["drawn"]) for row in rows]
+    drawn = [json.loads(row["drawn"]) for row in monitor_rows(result.run)]
     levels = {kind: {entry["level"] for entry in drawn if entry["kind"] == kind} for kind in (0, 1)}
     assert max(levels[0]) > 2
     assert levels[1] == {0}

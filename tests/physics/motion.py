@@ -242,8 +242,7 @@ def arm_file(name: str, h: float, engine: str) -> tuple[float]:
     from deepbots_cli.diagnostics import Findings
     from deepbots_cli.robots import reader
 
-    path = Path(pybullet_data.getDataPath()) / name
-    file = reader.read(path, name, Findings())
+    file = reader.read(Path(pybullet_data.getDataPath()) / name, name, Findings())
     assert file is not None
     links = tuple(replace(link, collisions=(), visuals=()) for link in file.model.links)
     body = RobotBody("robot", replace(file.model, links=links), fixed_base=True)

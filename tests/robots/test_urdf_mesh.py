@@ -491,8 +491,7 @@ def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
 
 
 def test_the_inertia_of_a_turned_frame_is_stretched_in_the_axes_of_the_link():
-    turned = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
-    model = robot(Box((1.0, 2.0, 3.0)), turned)
+    model = robot(Box((1.0, 2.0, 3.0)), Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)))
     stretched = model_of(with_scale(model, "a", (5.0, 1.0, 1.0))).link("a").inertial
     assert moments(stretched)[4:] == pytest.approx(
         moments(homogeneous_inertial(Box((1.0, 10.0, 3.0)), 6 * 5 * DENSITY))[4:]

@@ -479,8 +479,7 @@ def test_a_task_says_what_its_training_does_beside_learning(tmp_path):
         reporter.update(replace(progress, steps=9_000))
         log.flush()
         assert task.activity == ""
-        bar = ProgressBar(100, "episodes", stream=log)
-        bar.update(20)
+        ProgressBar(100, "episodes", stream=log).update(20)
         log.flush()
         assert task.activity == "evaluating, 20 of 100 episodes"
 

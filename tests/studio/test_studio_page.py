@@ -408,8 +408,7 @@ def test_an_episode_waits_for_the_person_who_drives_and_the_keys_are_shown(folde
         assert "backward" in shown
         frame = "document.querySelector('.studio-frame').contentDocument"
         button = f"[...{frame}.querySelectorAll('button')].find(one => one.innerText == '{{}}')"
-        scene = f"{frame}.body.innerText"
-        page.wait(f"{scene}.includes('press a key to begin')")
+        page.wait(f"{frame}.body.innerText.includes('press a key to begin')")
         page.wait("document.activeElement.tagName == 'IFRAME'")
         for kind in ("keyDown", "keyUp"):
             page.tab.call("Input.dispatchKeyEvent", type=kind, key="w", code="KeyW", windowsVirtualKeyCode=87)

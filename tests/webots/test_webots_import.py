@@ -248,8 +248,7 @@ def test_a_grid_of_heights_is_the_terrain(tmp_path: Path) -> None:
     )
     for path, content in starter.files.items():
         (tmp_path / path).write_bytes(content)
-    terrain = api.compile(tmp_path / "hills.yaml").program.world.terrain
-    height = ground_height(terrain)
+    height = ground_height(api.compile(tmp_path / "hills.yaml").program.world.terrain)
     corners = [(-2, -1), (0, -1), (1.999, -1), (-2, 0.999), (0, 0.999), (1.999, 0.999)]
     assert [height(*corner) for corner in corners] == pytest.approx([0, 0.1, 0.2, 0.3, 0.4, 0.6], abs=1e-3)
 
