@@ -157,3 +157,9 @@ def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
     engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
     for eye in ((0.0, 0.0, 2.0), (0.3, 0.2, -1.0)):
         assert engine.render(View(eye, (0.0, 0.0, 0.0), 40, 40)).shape == (40, 40, 3)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_floor_far_below_a_camera_gives_no_warning(worlds, build):
+    engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
+    assert engine.render(View((0.0, 0.0, 1e9), (1.0, 0.0, 1e9), 4, 4)).shape == (4, 4, 3)

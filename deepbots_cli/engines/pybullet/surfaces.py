@@ -451,10 +451,9 @@ class Floor:
         """Return colors, shape (n, 3), 0 to 255, seen in pixels `across` m long; tiles too small for a pixel
         melt into their mean."""
         sharp = np.clip(1.5 - across * np.float32(1 / TILE_SIZE_M), 0.0, 1.0)
-        odd = (np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))).astype(
-            np.int32
-        ) & 1
-        shade = 0.5 + (odd - np.float32(0.5)) * sharp
+        numbers = np.floor(x * np.float32(1 / TILE_SIZE_M)) + np.floor(y * np.float32(1 / TILE_SIZE_M))
+        # Tiles beyond 500,000 km have no number of 32 bits.
+        shade = 0.5 + ((numbers % 2).astype(np.int32) - np.float32(0.5)) * sharp
         colors = self._light + (self._dark - self._light) * shade[:, None]
         return colors if self._paint is None else self._paint.paint(colors, x, y)
 
