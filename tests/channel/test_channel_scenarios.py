@@ -707,8 +707,7 @@ def test_an_action_that_does_not_fit_changes_nothing(copies: Make, bad: Any) -> 
     unharmed.reset(seed=0)
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(bad)
-    expected = unharmed.step(np.array([1, 0, 1]))
-    assert as_bytes([environment.step([1, 0, 1])]) == as_bytes([expected])
+    assert as_bytes([environment.step([1, 0, 1])]) == as_bytes([unharmed.step(np.array([1, 0, 1]))])
 
 
 @pytest.mark.parametrize("bad", [np.zeros((2, 1)), np.full((3, 1), np.nan), np.zeros(3)])

@@ -263,8 +263,7 @@ def test_a_mistake_in_a_case_alone_leaves_the_scenario_as_it_is(deepbots, scenar
     values = "{parameters: {fall_angle: 10 deg, wheel_speed: 5 rad/s, trakc: 1 m}}"
     text = f"{CARTPOLE}\nevaluation: {{cases: {{other: {{set: {values}}}}}}}\n"
     path = scenario(text)
-    ran = deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=1)
-    assert "unknown name `track`" in ran.out
+    assert "unknown name `track`" in deepbots("lint", "a.yaml", "--fix", "--unsafe-fixes", code=1).out
     assert path.read_text() == text
 
 

@@ -157,8 +157,7 @@ def stepped(environment: Any, steps: int) -> tuple[Any, Any, bool]:
     read = environment.engine.pose("robot")
     before, terminated = tuple(map(np.copy, read())), False
     while steps and not terminated:
-        action = np.zeros(environment.action_space.shape, np.float32)
-        _, _, terminated, _, _ = environment.step(action)
+        _, _, terminated, _, _ = environment.step(np.zeros(environment.action_space.shape, np.float32))
         steps -= 1
     return before, read(), terminated
 
