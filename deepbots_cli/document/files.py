@@ -321,8 +321,12 @@ def decode(
     if len(data) > MAX_BYTES or data.startswith((b"\xff\xfe", b"\xfe\xff")):
         source = Source(name, "", included_from)
         if len(data) > MAX_BYTES:
-            help = "split it with `include`, or check that it is a scenario"
-            findings.add("DB005", Span(source, 0, 0), f"the file is larger than {MAX_BYTES >> 20} MiB", help)
+            findings.add(
+                "DB005",
+                Span(source, 0, 0),
+                f"the file is larger than {MAX_BYTES >> 20} MiB",
+                "split it with `include`, or check that it is a scenario",
+            )
         else:
             findings.add("DB001", Span(source, 0, 0), "the file is in UTF-16", "save it as UTF-8")
         return source, False

@@ -299,17 +299,17 @@ class _Reader:
             value.text, folder, self.roots, library, by=chain[-1] if chain else None
         )
         if isinstance(path, files.UnusableFile):
-            fix = path.fix(value.span)
-            self.findings.add("DB204", value.span, path.headline, path.help, notes=path.notes, fix=fix)
+            self.findings.add(
+                "DB204", value.span, path.headline, path.help, notes=path.notes, fix=path.fix(value.span)
+            )
             return None
         if path in chain:
-            circle = " -> ".join(step.name for step in (*chain[chain.index(path) :], path))
             self.findings.add(
                 "DB204",
                 value.span,
                 f"`{value.text}` includes itself",
                 "remove one of these references",
-                notes=(circle,),
+                notes=(" -> ".join(step.name for step in (*chain[chain.index(path) :], path)),),
             )
             return None
         if len(chain) >= MAX_INCLUSION_DEPTH:
@@ -338,8 +338,12 @@ class _Reader:
             return None
         self.size += len(data)
         if self.size > files.MAX_TOTAL_BYTES:
-            headline = f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together"
-            self.findings.add("DB005", by, headline, "check that every file is part of a scenario")
+            self.findings.add(
+                "DB005",
+                by,
+                f"the files of the scenario are larger than {files.MAX_TOTAL_BYTES >> 20} MiB together",
+                "check that every file is part of a scenario",
+            )
             return None
         source, readable = files.decode(data, files.display_path(path), self.findings, included_from=by)
         self.files[path] = source
@@ -544,9 +548,12 @@ def _target(
             return ("parameters", dotted), [_key(path, start, end)]
         if dotted not in root.entries and (near := nearest_word(dotted, parameters.entries, _CUTOFF)):
             span = path.part(start, end)
-            fix = Fix.replacing(span, dotted, near, safe=False)
             findings.add(
-                "DB201", span, f"there is no parameter `{dotted}`", f"did you mean `{near}`?", fix=fix
+                "DB201",
+                span,
+                f"there is no parameter `{dotted}`",
+                f"did you mean `{near}`?",
+                fix=Fix.replacing(span, dotted, near, safe=False),
             )
             return None
     steps, reached, unresolved = follow_dotted(root, dotted)

@@ -134,8 +134,12 @@ class _Builder:
     def document(self) -> Node | None:
         next(self.events)  # skips the start of the stream
         if isinstance(next(self.events), StreamEndEvent):
-            help = "start from a shipped scenario: deepbots new mine --from cartpole"
-            self.findings.add("DB107", Span(self.source, 0, 0), "the file is empty", help)
+            self.findings.add(
+                "DB107",
+                Span(self.source, 0, 0),
+                "the file is empty",
+                "start from a shipped scenario: deepbots new mine --from cartpole",
+            )
             return None
         root = self.node(next(self.events), 0)
         next(self.events)  # skips the end of the document
@@ -171,8 +175,12 @@ class _Builder:
         if event.tag is not None:
             mark = re.compile(_TAG).search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
-            help = "put text that starts with `!` in quotes; `not` negates a condition"
-            self.findings.add("DB005", span, f"the tag `{span.text}` is not part of the language", help)
+            self.findings.add(
+                "DB005",
+                span,
+                f"the tag `{span.text}` is not part of the language",
+                "put text that starts with `!` in quotes; `not` negates a condition",
+            )
             node = None
         # An anchor is registered after the node below it: an alias within its own anchor is an error, and no
         # tree contains itself.
@@ -262,18 +270,21 @@ class _Builder:
             ):
                 continue
             if not isinstance(key.value, str):
-                headline = f"a key must be text, but this one is {_KINDS[type(key.value)]}"
-                self.findings.add("DB103", key.span, headline, value_hints.help_for_key(key))
+                self.findings.add(
+                    "DB103",
+                    key.span,
+                    f"a key must be text, but this one is {_KINDS[type(key.value)]}",
+                    value_hints.help_for_key(key),
+                )
                 continue
             first = first_keys.setdefault(key.text, key)
             if first is not key:
-                also = (Label(first.span, "first defined here"),)
                 self.findings.add(
                     "DB002",
                     key.span,
                     f"the key `{key.text}` is given twice",
                     "keep one of the two",
-                    labels=also,
+                    labels=(Label(first.span, "first defined here"),),
                 )
             elif isinstance(value, ScalarNode) and value.value is None:
                 value_hints.report_empty_value(key, value, self.findings, is_flow=start.flow_style)
@@ -300,8 +311,12 @@ class _Builder:
         if syntax_hints.report_broken_key(key, self.findings):
             return None
         if key.style == "plain" and key.text == "<<":
-            help = "use `extends` for a whole file, or `include` for a part of one"
-            self.findings.add("DB101", key.span, "the merge key `<<` is not part of the language", help)
+            self.findings.add(
+                "DB101",
+                key.span,
+                "the merge key `<<` is not part of the language",
+                "use `extends` for a whole file, or `include` for a part of one",
+            )
             return None
         return key
 

@@ -38,6 +38,7 @@ _NEXT_PAIR = r"(?<=[^\s,:{\[])\s+(?=[A-Za-z_][\w.]*:(?:\s|[{\[]))"
 _MISSING_COLON = r"([a-z_][\w.]*)(?:[ \t]+(?=[-+.\d{\[\"']|\w+\(|\w{2,}\.\w)|$)(.*)"
 _NO_COLON_BEFORE_BRACKET = re.compile(r"[a-z_][\w.]*[ \t]+[{\[]")
 _TWO_WORDS = r"([a-z_]\w*)[ \t]+([\w*./-]+)"
+_ENDS_OF_VALUES = ("]", "}", '"', "'")
 _CLOSING = {"{": "}", "[": "]"}
 _STARTS_OF_VALUES = (
     (r"\t", "a tab where YAML allows only spaces", "use spaces"),
@@ -53,6 +54,7 @@ _STARTS_OF_LINES = (
     (":", "a key is missing before the colon", "write `key: value`"),
     ("- |-$", "a list item among keys", "indent the list below its key"),
 )
+_DOCUMENT_END = r"(?m)^\.\.\.[ \t]*(?:\n|$)"
 _PAIR_BEHIND_COMMA = r",\s*[A-Za-z_][\w.]*:\s"
 MAX_SHOWN = 60
 _MAX_WRITTEN = 120
@@ -165,6 +167,7 @@ def syntax_error_finding(source: Source, error: MarkedYAMLError) -> Finding:
         or _bracket_behind_colon(problem)
         or _quote(problem)
         or _brackets(problem)
+        or _document_end(problem)
         or _leading_sign(problem)
         or _colon(problem)
         or _behind_value(problem)
@@ -222,6 +225,20 @@ def _bracket_behind_key(problem: _Problem) -> Finding | None:
     return _line_without_key(problem, problem.line_start + len(line) - len(words), words)
 
 
+def _document_end(problem: _Problem) -> Finding | None:
+    """Report `...`, which ends the document before further lines."""
+    for match in re.compile(_DOCUMENT_END).finditer(problem.source.text):
+        if match.start() == problem.at or (match.start() < problem.at and problem.says("document start")):
+            return problem.finding(
+                "`...` ends the document",
+                "remove it",
+                match.start(),
+                3,
+                Fix((Edit(Span(problem.source, *match.span()), ""),), safe=False),
+            )
+    return None
+
+
 def _leading_sign(problem: _Problem) -> Finding | None:
     """Report a value that begins with a character to which YAML gives a meaning."""
     at = problem.at
@@ -231,14 +248,19 @@ def _leading_sign(problem: _Problem) -> Finding | None:
         at = problem.since
     elif not problem.says("cannot start any token", "node content", "keys are not allowed"):
         return None
+    if problem.source.text[problem.line_start : at].rstrip().endswith(_ENDS_OF_VALUES):
+        return _text_behind(problem, at)
     value_text = problem.rest_of_line(at)
     for start, headline, help in _STARTS_OF_VALUES:
         if re.compile(start, re.MULTILINE).match(problem.source.text, at):
             return problem.finding(headline, help, at)
     if value_text.startswith("|") and (replacement := nearest.without_bars(value_text)):
-        fix = Fix((Edit(Span(problem.source, at, at + len(value_text)), replacement),), safe=False)
         return problem.finding(
-            "`|` does not mean the absolute value", f"write `{replacement}`", at, len(value_text), fix
+            "`|` does not mean the absolute value",
+            f"write `{replacement}`",
+            at,
+            len(value_text),
+            Fix((Edit(Span(problem.source, at, at + len(value_text)), replacement),), safe=False),
         )
     sign = "a backtick" if value_text[0] == "`" else f"`{value_text[0]}`"
     return problem.finding(
@@ -285,9 +307,11 @@ def _brackets(problem: _Problem) -> Finding | None:
         )
     character = text[problem.at : problem.at + 1]
     if text.startswith("- ", problem.at) and opening >= problem.line_start:
-        space = Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 2), ""),), safe=False)
         return problem.finding(
-            "a `-` before a space begins a list", "remove the space after `-`", problem.at, fix=space
+            "a `-` before a space begins a list",
+            "remove the space after `-`",
+            problem.at,
+            fix=Fix((Edit(Span(problem.source, problem.at + 1, problem.at + 2), ""),), safe=False),
         )
     missing = _missing_comma(problem, opening)
     if character == ":" and opening >= problem.line_start:
@@ -310,8 +334,11 @@ def _brackets(problem: _Problem) -> Finding | None:
                 problem.at,
                 fix=Fix((Edit(Span(problem.source, problem.at, problem.at + 1), closing),), safe=False),
             )
-        help = f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item"
-        return problem.finding(f"this `{character}` closes no bracket", help, problem.at)
+        return problem.finding(
+            f"this `{character}` closes no bracket",
+            f"remove it, or write the opening `{'{' if character == '}' else '['}` before the first item",
+            problem.at,
+        )
     return missing or problem.finding(
         f"unexpected `{character}` between brackets",
         "separate items by commas, or put the value in quotes",
@@ -388,11 +415,8 @@ def _second_colon(problem: _Problem, help: str) -> Finding:
         and re.compile(_LINE_KEY).match(line, key.end())
         and is_readable(f"{{{line[key.end() :]}\n}}")
     ):
-        value = re.split(r"\s#", line[key.end() :], maxsplit=1)[0].rstrip()
-        help = (
-            f"put a mapping in braces: `{line[: key.end()].lstrip()}{{{value[:MAX_SHOWN]}}}`; put a text in"
-            " quotes"
-        )
+        value = re.sub(r"^\((.*)\)$", r"\1", line[key.end() :])[:MAX_SHOWN]
+        help = f"put a mapping in braces: `{line[: key.end()].lstrip()}{{{value}}}`; put a text in quotes"
     return problem.finding("a second colon in one value", help, problem.at)
 
 
@@ -478,9 +502,8 @@ def _value_out_of_place(problem: _Problem, line: _Line, above: _Line) -> Finding
     if not is_first and holder.indent != line.indent:
         return None
     value = problem.rest_of_line(above.start).strip()[:MAX_SHOWN]
-    word = "below" if is_first else "like"
     return problem.finding(
-        f"{above.name} is not indented {word} {holder.name}, but the next line is",
+        f"{above.name} is not indented {'below' if is_first else 'like'} {holder.name}, but the next line is",
         f"indent it like the line below: `{' ' * line.indent}{value}`",
         above.start + above.indent,
         len(above.key),
@@ -520,8 +543,13 @@ def report_broken_key(key: ScalarNode, findings: Findings) -> bool:
     """Report `key {a: 1}`, in which `key {a` is read as a key, and a key with a non-breaking space, such as
     that of a copied indentation; return whether it is reported."""
     if key.style == "plain" and (spaces := re.sub(_ODD_SPACE, " ", key.text)) != key.text:
-        fix = Fix.replacing(key.span, key.text, spaces, safe=False)
-        findings.add("DB001", key.span, "a non-breaking space", "replace it by an ordinary space", fix=fix)
+        findings.add(
+            "DB001",
+            key.span,
+            "a non-breaking space",
+            "replace it by an ordinary space",
+            fix=Fix.replacing(key.span, key.text, spaces, safe=False),
+        )
         return True
     if key.style != "plain" or not _NO_COLON_BEFORE_BRACKET.match(key.text):
         return False
@@ -574,26 +602,27 @@ def _behind_value(problem: _Problem) -> Finding | None:
     at, before, text_behind = problem.at, problem.before.rstrip(), problem.rest_of_line(problem.at)
     length = max(1, len(text_behind))
     if before.strip() and re.fullmatch(r"[}\],; ]+", text_behind):
-        fix = Fix((Edit(Span(problem.source, at, at + length), ""),), safe=False)
-        return problem.finding(f"`{text_behind}` after the end of a value", "remove it", at, length, fix)
-    if before.strip() and (before[-1] in "]}\"'" or not text_behind.startswith(("}", "]", ":"))):
-        key = re.match(_KEY, problem.before)
-        whole = problem.rest_of_line(
-            problem.line_start + (key.end() if key else len(before) - len(before.lstrip()))
-        )
-        # Of an odd number of quotes, one within the value ended it, such as the apostrophe of `'it's here'`.
-        quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'(?:[^\"']*'[^\"']*')+", whole) else _quoted(whole)
         return problem.finding(
-            "text after the end of a value", f"put the whole value in quotes: {quoted}", at, length
+            f"`{text_behind}` after the end of a value",
+            "remove it",
+            at,
+            length,
+            Fix((Edit(Span(problem.source, at, at + length), ""),), safe=False),
         )
+    if before.strip() and (before.endswith(_ENDS_OF_VALUES) or not text_behind.startswith(("}", "]", ":"))):
+        return _text_behind(problem, at)
     for start, headline, help in _STARTS_OF_LINES:
         if re.match(start, text_behind):
             length = length if start.startswith("-") else 1
             return problem.finding(headline.format(text_behind[0]), help, at, length)
     line, levels = problem.line_at(problem.line_start), _levels_above(problem)
     if line is None or not levels:
-        help = "give keys of one mapping the same indentation"
-        return problem.finding("this line does not align with the lines above", help, at, length)
+        return problem.finding(
+            "this line does not align with the lines above",
+            "give keys of one mapping the same indentation",
+            at,
+            length,
+        )
     above = problem.line_above(line.start)
     if (
         above is not None
@@ -625,6 +654,23 @@ def _behind_value(problem: _Problem) -> Finding | None:
         help += f"; or to {counted(other.indent, 'space')}, like {other.name}"
     labels = tuple(problem.label(level, _indented_by(level.indent)) for level in (near, *others[:1]))
     return problem.finding(headline, help, at, length, fix, labels)
+
+
+def _text_behind(problem: _Problem, at: int) -> Finding:
+    """Report text at the offset `at`, behind a value of which it was to be a part."""
+    before = problem.source.text[problem.line_start : at]
+    begin = re.search(rf"^(?:{_KEY}|\s*(?:- +)*)", before)
+    whole = problem.rest_of_line(problem.line_start + len(begin[0] if begin else ""))
+    # Of an odd number of quotes, one within the value ended it, such as the apostrophe of `'it's here'`.
+    quoted = f'"{whole[1:-1]}"' if re.fullmatch(r"'(?:[^\"']*'[^\"']*')+", whole) else _quoted(whole)
+    # Of a value between brackets, the whole line is more than the value.
+    is_whole = sum(map(before.count, "[{")) == sum(map(before.count, "]}"))
+    return problem.finding(
+        "text after the end of a value",
+        f"put the whole value in quotes{f': {quoted}' if is_whole else ''}",
+        at,
+        max(1, len(problem.rest_of_line(at))),
+    )
 
 
 def _indented(problem: _Problem, start: int, before: int, after: int) -> Fix:
