@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 import os
-import random
 import tracemalloc
 from itertools import pairwise
 from pathlib import Path
@@ -224,15 +223,6 @@ def test_64_levels_and_thousands_of_values_are_allowed() -> None:
     assert read("[" * 64 + "]" * 64)[1] == read("[" + "1," * 7_900 + "]")[1] == []
 
 
-def test_a_number_with_a_comma_in_braces_is_not_a_key_to_be_quoted() -> None:
-    (finding,) = read("{max_steps: 2,000}")[1]
-    assert (finding.code, finding.span.text) == ("DB001", "2,000")
-    assert finding.help == "write a decimal point, `2.000`, or group the digits, `2_000`"
-    assert finding.fix is None
-    (finding,) = read("{3: a}")[1]
-    assert finding.help == 'put it in quotes: "3"'
-
-
 @pytest.mark.parametrize(
     "text",
     [
@@ -265,13 +255,36 @@ def contents(node: Node) -> object:
             return place, [(contents(key), contents(value)) for key, value in entries.values()]
 
 
-def test_a_decimal_comma_in_braces_is_not_reported_as_a_key() -> None:
-    for text, value in [("-1,5 cm", "-1.5 cm"), ("-0,5 .. 0,5 m", "-0.5 .. 0.5 m"), ("0,99", "0.99")]:
-        node, (finding,) = read(f"{{x: 5 cm, y: {text}}}")
-        assert (finding.code, finding.span.text, to_data(node)) == ("DB001", text, {"x": "5 cm"})
-        assert finding.help == f"write a decimal point: `{value}`"
-    (finding,) = read("{x: 5 cm, y: a1,5 cm}")[1]
-    assert (finding.code, finding.span.text) == ("DB107", "5 cm")
+@pytest.mark.parametrize(
+    ("text", "code", "marked", "help", "data"),
+    [
+        (
+            "{max_steps: 2,000}",
+            "DB001",
+            "2,000",
+            "write a decimal point, `2.000`, or group the digits, `2_000`",
+            {},
+        ),
+        ("{3: a}", "DB103", "3", 'put it in quotes: "3"', {}),
+        ("{x: 5 cm, y: -1,5 cm}", "DB001", "-1,5 cm", "write a decimal point: `-1.5 cm`", {"x": "5 cm"}),
+        (
+            "{x: 5 cm, y: -0,5 .. 0,5 m}",
+            "DB001",
+            "-0,5 .. 0,5 m",
+            "write a decimal point: `-0.5 .. 0.5 m`",
+            {"x": "5 cm"},
+        ),
+        ("{x: 5 cm, y: 0,99}", "DB001", "0,99", "write a decimal point: `0.99`", {"x": "5 cm"}),
+        ("{x: 5 cm, y: a1,5 cm}", "DB107", "5 cm", None, {"x": "5 cm", "y": "a1"}),
+    ],
+)
+def test_a_number_with_a_comma_in_braces_is_not_reported_as_a_key(
+    text: str, code: str, marked: str, help: str | None, data: dict[str, str]
+) -> None:
+    node, (finding,) = read(text)
+    assert (finding.code, finding.span.text, to_data(node)) == (code, marked, data)
+    assert help in (None, finding.help)
+    assert "2,000" not in text or finding.fix is None
 
 
 def write(folder: Path, **files: str) -> Path:
@@ -765,8 +778,6 @@ def test_the_span_of_a_scalar_reads_as_that_scalar(data: dict[str, object]) -> N
             assert all(node.part(i, i + 1).text == node.text[i] for i in visible)
 
 
-SHIPPED = shipped.scenario_names()
-
 UNTIDY = """
 
 deepbots:   1
@@ -825,56 +836,25 @@ signals:
 """
 
 
-def text_of(name):
-    return shipped.scenario_path(name).read_text(encoding="utf-8")
+@pytest.mark.parametrize(
+    ("text", "tidy"),
+    [
+        (UNTIDY, TIDY),
+        (TIDY, TIDY),
+        (UNTIDY.replace("\n", "\r\n"), TIDY.replace("\n", "\r\n")),
+        ("name: CartPole # short", "name: CartPole # short\n"),
+        (KEPT := "summary: |\n  one \n  two \nname: n\n", KEPT),
+        # Whatever is quadratic in the lines takes minutes here.
+        (COMMENTS := "a: 1\n" + "# a word\n" * 40_000, COMMENTS),
+        (BRACKETS := "a: [\n" + "  x,\n" * 7_000 + "]\n", BRACKETS),
+    ],
+    ids=["untidy", "tidy", "line ends", "no line end", "blanks of a text", "comments", "brackets"],
+)
+def test_blanks_blank_lines_and_indentation_are_put_in_order(text: str, tidy: str) -> None:
+    assert canonical_text(text) == tidy
 
 
-def meaning(text):
-    findings = Findings()
-    root = parse(Source("", text), findings)
-    return None if root is None or findings.errors else to_data(root)
-
-
-def test_blanks_blank_lines_and_indentation_are_put_in_order():
-    assert (canonical_text(UNTIDY), canonical_text(TIDY)) == (TIDY, TIDY)
-
-
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", shipped.scenario_names())
 def test_a_shipped_scenario_is_in_the_canonical_layout(name):
-    assert canonical_text(text_of(name)) == text_of(name)
-
-
-def test_a_file_that_ends_behind_a_comment_is_formatted() -> None:
-    assert canonical_text("name: CartPole # short") == "name: CartPole # short\n"
-
-
-def test_a_text_with_blanks_at_the_end_of_its_last_line_keeps_them() -> None:
-    text = "summary: |\n  one \n  two \nname: n\n"
+    text = shipped.scenario_path(name).read_text(encoding="utf-8")
     assert canonical_text(text) == text
-
-
-def test_comments_by_the_ten_thousand_and_brackets_over_thousands_of_lines_end():
-    # Whatever is quadratic in the lines takes minutes here.
-    comments = "a: 1\n" + "# a word\n" * 40_000
-    assert canonical_text(comments) == comments
-    brackets = "a: [\n" + "  x,\n" * 7_000 + "]\n"
-    assert canonical_text(brackets) == brackets
-
-
-def test_line_ends_stay():
-    assert canonical_text(UNTIDY.replace("\n", "\r\n")) == TIDY.replace("\n", "\r\n")
-
-
-def disturbed(text, seed):
-    """White space that means nothing, here and there, and indentation by four."""
-    chance = random.Random(seed)
-    lines = []
-    for line in text.split("\n"):
-        body = line.lstrip(" ")
-        line = " " * 2 * (len(line) - len(body)) + body
-        if chance.random() < 0.3 and not body.startswith("#"):
-            line = line.replace(": {", ":   {  ", 1).replace("}}", "  } }", 1)
-        lines.append(line + " " * chance.choice([0, 0, 2]))
-        if chance.random() < 0.1:
-            lines += ["", ""]
-    return "\n".join(lines)
