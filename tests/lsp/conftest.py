@@ -22,11 +22,20 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def client(project: Path) -> Iterator[Client]:
+def server(project: Path) -> Iterator[Client]:
     """The server ends by itself, and writes nothing to standard error."""
     with Client(project) as started:
         yield started
     assert (started.code, started.errors, started.logged) == (0, "", [])
+
+
+@pytest.fixture
+def client(server: Client, project: Path) -> Iterator[Client]:
+    """The server; what a test opens is closed after it, but for what `pit` and `ball` open."""
+    yield server
+    kept = {(project / "scenarios" / f"{name}.yaml").as_uri() for name in ("pit_escape", "find_ball_random")}
+    for uri in server.texts.keys() - kept:
+        server.close(uri)
 
 
 @pytest.fixture

@@ -86,7 +86,6 @@ def test_a_name_that_was_never_compiled_is_not_offered_but_the_language_is(clien
     assert {"timestep", "gravity"} <= {item["label"] for item in answer["items"]}
     client.change(uri, "deepbots: 1\nparameters: {radius: 2 ")
     assert "m" in client.labels(uri, "radius: 2 ¦")
-    client.close(uri)
 
 
 def test_an_item_says_what_it_is_and_writes_no_more_than_is_missing(client, pit):
@@ -129,7 +128,6 @@ def test_an_included_piece_is_completed_as_the_part_of_the_scenario_that_it_is(c
     assert {"noise", "range"} <= set(client.labels(piece, "type: infrared\n    no¦"))
     client.change(piece, text)
     assert client.findings(piece) == []
-    client.close(piece)
 
 
 def test_a_comment_that_suppresses_is_completed_with_the_warnings(typing):
@@ -170,7 +168,6 @@ def test_a_file_that_begins_is_offered_its_first_line_and_then_its_sections(clie
     assert client.labels_at(uri, 12)[:3] == ["name", "summary", "parameters"]
     client.change(uri, "deepbots: 1\nworld: {timestep: ")
     assert client.labels(uri, "timestep: ¦")[0] == "32 ms"
-    client.close(uri)
 
 
 BEGUN = """\
@@ -199,7 +196,6 @@ def test_a_scenario_that_was_never_whole_offers_the_names_that_stand_in_it(clien
     )
     client.findings(uri)
     assert "far" in client.labels_at(uri, len(client.texts[uri]))
-    client.close(uri)
 
 
 def test_where_a_new_name_is_expected_an_example_is_offered_and_nothing_else(client, pit):
@@ -212,7 +208,6 @@ def test_among_entries_no_example_of_the_whole_section_is_offered(client, projec
     text = BEGUN + "signals:\n  far: 1 m\n  "
     uri = client.open(project / "scenarios" / "entries.yaml", text)
     assert not [label for label in client.labels_at(uri, len(text)) if label.startswith("{")]
-    client.close(uri)
 
 
 def test_while_a_robot_has_a_mistake_its_joints_are_still_offered(client, pit):
@@ -267,7 +262,6 @@ def test_a_script_is_offered_the_components_of_its_action(client, project):
     assert [finding["code"] for finding in client.findings(uri) if finding["severity"] == 1] == []
     client.change(uri, text.replace("{go: 0 rad/s}", "{go: {"))
     assert {"wheel_front_left", "wheel_rear_right"} <= set(client.labels(uri, "still: {go: {¦"))
-    client.close(uri)
 
 
 FIX_ALL = ["source.fixAll.deepbots"]
@@ -364,7 +358,6 @@ def test_a_fix_in_an_included_file_is_offered_there(client, ball, project):
         pass
     (action,) = client.actions(piece, "infr¦ard")
     assert text_after(client, piece, action) == path.read_text()
-    client.close(piece)
 
 
 def test_formatting_makes_what_fmt_makes_and_leaves_broken_text_alone(client, pit, changed):
@@ -466,14 +459,12 @@ def test_while_the_text_is_broken_elsewhere_hover_and_definition_go_on(client, p
     assert client.definition(pit, "reach > rad¦ius") == [place_of("pit_escape.yaml", "¦radius: 2.7 m")]
 
 
-@pytest.mark.parametrize(("around", "file", "place"), TABLES["definitions"])
-def test_a_name_leads_to_its_definition(client, pit, around, file, place):
-    assert client.definition(pit, around) == [place_of(file, place)]
-
-
-@pytest.mark.parametrize(("around", "file", "place"), TABLES["included"])
-def test_definitions_are_found_in_included_files_and_by_paths_of_settings(client, ball, around, file, place):
-    assert client.definition(ball, around) == [place_of(file, place)]
+@pytest.mark.parametrize(
+    ("opened", "around", "file", "place"),
+    [*(("pit", *row) for row in TABLES["definitions"]), *(("ball", *row) for row in TABLES["included"])],
+)
+def test_a_name_leads_to_its_definition_also_in_included_files(client, request, opened, around, file, place):
+    assert client.definition(request.getfixturevalue(opened), around) == [place_of(file, place)]
 
 
 def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client, ball, project):
@@ -483,7 +474,6 @@ def test_an_included_piece_answers_as_the_part_of_the_scenario_that_it_is(client
         [("epuck.urdf", 14, 14)],
     )
     assert "`infrared`" in client.hover(piece, "ty¦pe: infrared")
-    client.close(piece)
 
 
 def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(client, project):
@@ -493,7 +483,6 @@ def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(cl
     )
     assert client.definition(uri, "extends: cart¦pole") == [("cartpole.yaml", 0, 0)]
     assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
-    client.close(uri)
 
 
 def test_a_pattern_leads_to_all_that_it_fits(client, project):
@@ -502,7 +491,6 @@ def test_a_pattern_leads_to_all_that_it_fits(client, project):
     places = client.definition(uri, '"¦*": {mass')
     assert len(places) >= 2
     assert {file for file, _, _ in places} == {"cartpole.urdf"}
-    client.close(uri)
 
 
 FILES = [
@@ -725,7 +713,6 @@ def test_a_finding_has_its_code_its_severity_and_its_exact_place(client, world, 
     (only,) = client.findings(uri)
     assert (only["code"], only["severity"], only["source"]) == (code, RED, "deepbots")
     assert underlined_text(client, uri, only) == underlined
-    client.close(uri)
 
 
 def test_columns_count_units_of_utf_16_behind_emoji_and_other_letters(client, world):
@@ -752,7 +739,6 @@ def test_each_change_of_the_text_is_looked_at_and_the_last_word_is_about_the_las
     assert underlined_text(client, uri, only) == "metrics"
     client.change(uri, text)
     assert client.findings(uri) == []
-    client.close(uri)
 
 
 def test_a_mistake_in_an_included_file_is_reported_there_with_the_place_of_the_include(client, world):
@@ -780,8 +766,6 @@ def test_of_an_open_included_file_the_text_in_the_editor_counts(client, world):
         (only,) = client.findings(piece)
         assert (only["code"], underlined_text(client, piece, only)) == ("DB104", "infrarot")
         client.change(piece, "# one line more\n" + client.texts[piece])
-    client.close(piece)
-    client.close(uri)
 
 
 def test_yaml_that_is_neither_a_scenario_nor_a_piece_of_an_open_one_is_left_alone(client, project):
@@ -797,7 +781,6 @@ def test_yaml_that_is_neither_a_scenario_nor_a_piece_of_an_open_one_is_left_alon
         )
         is None
     )
-    client.close(uri)
 
 
 def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
@@ -808,7 +791,6 @@ def test_a_second_place_that_explains_a_finding_comes_with_it(client, world):
         "first defined here",
         {"line": 3, "character": 13},
     )
-    client.close(uri)
 
 
 def test_the_settings_of_the_project_of_the_file_count(client, world):
@@ -822,7 +804,6 @@ def test_the_settings_of_the_project_of_the_file_count(client, world):
     while not (findings := client.published(uri)):
         pass
     assert codes_of(findings) == ["DB205"]
-    client.close(uri)
 
 
 @pytest.mark.slow
@@ -865,8 +846,6 @@ def test_two_documents_that_are_not_files_yet_have_findings_of_their_own(client)
             for finding in client.findings(uri)
             if finding["code"] == "DB101"
         ] == [key]
-    for uri in texts:
-        client.close(uri)
 
 
 @pytest.mark.parametrize(
@@ -880,7 +859,6 @@ def test_two_documents_that_are_not_files_yet_have_findings_of_their_own(client)
 def test_a_scenario_whose_first_key_is_quoted_or_in_brackets_has_findings_too(client, project, text):
     uri = client.open(project / "scenarios" / "odd.yaml", text)
     assert "DB101" in codes_of(client.findings(uri))
-    client.close(uri)
 
 
 def test_findings_of_a_closed_document_are_taken_back(client, world):

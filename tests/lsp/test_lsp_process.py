@@ -229,7 +229,6 @@ def test_a_hostile_document_is_answered_for(client, project, name):
         "textDocument/codeAction",
         {"textDocument": {"uri": uri}, "range": everything, "context": {"diagnostics": []}},
     )
-    client.close(uri)
 
 
 def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, project):
@@ -242,7 +241,6 @@ def test_a_file_outside_of_the_project_is_reported_and_not_opened(client, projec
         [finding["code"] for finding in findings][:1],
         client.definition(uri, "extends: /etc/pas¦swd"),
     ) == (["DB204"], [])
-    client.close(uri)
 
 
 @pytest.mark.parametrize(
