@@ -14,7 +14,7 @@ the compiler either, which linting does without (15 ms of CPU).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -33,8 +33,6 @@ from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from deepbots_cli.port import Engine
     from deepbots_cli.program import Others, Program
     from deepbots_cli.program.world import WorldModel

@@ -22,9 +22,10 @@ import types
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field
+from importlib.machinery import ModuleSpec
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TextIO
 
 from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
@@ -32,12 +33,8 @@ from deepbots_webots import supervisor
 from deepbots_webots.nodes import texts
 from deepbots_webots.project import Program
 from deepbots_webots.project import programs as programs_of
+from deepbots_webots.scene import Robot
 from deepbots_webots.simulation import Pace, Simulation
-
-if TYPE_CHECKING:
-    from importlib.machinery import ModuleSpec
-
-    from deepbots_webots.scene import Robot
 
 SITE = Path(__file__).parent / "site"
 """The folder with the modules `controller` and `vehicle`."""

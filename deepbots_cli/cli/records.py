@@ -15,7 +15,7 @@ from deepbots_cli.cli import terminal
 from deepbots_cli.cli.tables import Row, row_as_lines, table, write_tables
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
-from deepbots_cli.learning.runs.evaluations import in_parentheses
+from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
 from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
 from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
     from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness
-    from deepbots_cli.learning.runs.evaluations import EvaluationResult
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8

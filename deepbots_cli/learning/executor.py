@@ -11,7 +11,7 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 from types import FrameType
@@ -21,8 +21,6 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
-    from contextlib import ExitStack
-
     from deepbots_cli.learning.environments import WorldFactory
     from deepbots_cli.learning.runs.run import Run
     from deepbots_cli.program.task import Training

@@ -15,7 +15,7 @@ from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import gymnasium as gym
 from pydantic import Field
@@ -24,6 +24,7 @@ from pydantic_core import to_jsonable_python
 from deepbots_cli.errors import RunError, StorageError, UsageError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.learning import learner as learners
+from deepbots_cli.learning.callbacks import TrainingCallback
 from deepbots_cli.learning.checkpoints import Array, CheckpointState
 from deepbots_cli.learning.learner import Initialization, Learner, Setup
 from deepbots_cli.learning.runs.run import DATA, data_of, opened_archive
@@ -42,9 +43,6 @@ from deepbots_cli.rollout.worlds import WorldsStep
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
-
-if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import TrainingCallback
 
 SHARED = ("total_timesteps", "environments", "shards", "device", "staleness", "turns")
 """The settings that agents that learn in the same worlds have in common."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple, cast
+from typing import Annotated, Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from pydantic import Field, NonNegativeInt
@@ -24,14 +24,11 @@ from deepbots_cli.learning.runs.records import PoolGames, Rating
 from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.records import dataclass
-from deepbots_cli.rollout.collector import Decision, Fragment, PolicyActor
+from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor
 from deepbots_cli.rollout.episode import own_episode
 from deepbots_cli.rollout.seats import MultiAgentActor, SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
-
-if TYPE_CHECKING:
-    from deepbots_cli.rollout.collector import LocalCollector
 
 _OPPONENTS = "opponents"
 """The column of a fragment with the opponent in each world: its place in the pool, or `_PRESENT`."""

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -33,6 +33,7 @@ from deepbots_cli.files import unwritable_message
 from deepbots_cli.learning.environments import (
     EVALUATION_EPISODES,
     EvaluationWorlds,
+    Evaluator,
     WorldFactory,
     play_script,
     random_numbers_kept,
@@ -50,10 +51,6 @@ from deepbots_cli.rollout.source import RECORD_NAME, Source
 from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import number_text, rate_text, shell_word
-
-if TYPE_CHECKING:
-    from deepbots_cli.learning.environments import Evaluator
-
 
 ENOUGH = 0.95
 """The share of the script's success rate at which imitation alone ends."""

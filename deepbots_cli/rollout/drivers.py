@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import UsageError
-from deepbots_cli.program import RANDOM, ZERO
+from deepbots_cli.program import RANDOM, ZERO, Program
 from deepbots_cli.program.task import ActionRange, Choices
 from deepbots_cli.rollout.episode import Driver, Start
 from deepbots_cli.words import counted
@@ -17,7 +17,6 @@ from deepbots_cli.words import counted
 if TYPE_CHECKING:
     import gymnasium as gym
 
-    from deepbots_cli.program import Program
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.spaces import Predictor
 

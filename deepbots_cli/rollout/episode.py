@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from pydantic import NonNegativeInt
 
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.program import AgentEnding
+from deepbots_cli.program import AgentEnding, Member
 from deepbots_cli.records import dataclass
 
 if TYPE_CHECKING:
     import gymnasium as gym
 
-    from deepbots_cli.program import Member
 
 OnEpisode = Callable[[int, int], None]
 """Called after each episode with the number of completed episodes, and of all."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from deepbots_cli.arrays import larger, smaller
 from deepbots_cli.plugins import import_attribute
-from deepbots_cli.port import BatchEngine
+from deepbots_cli.port import BatchEngine, Engine
 from deepbots_cli.program import generated
 from deepbots_cli.program.robots import Direction, NoiseModel, Sensor
 from deepbots_cli.program.task import Agent
@@ -28,7 +28,6 @@ from deepbots_cli.runtime.sensing import ROWS_PER_BLOCK, Device, Lookup, Normals
 from deepbots_cli.runtime.spaces import Column, mask_of_space
 
 if TYPE_CHECKING:
-    from deepbots_cli.port import Engine
     from deepbots_cli.runtime.batch import BatchSupervisor
 
 

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,11 +24,9 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
 from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
 from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evaluation
+from deepbots_cli.program import Member
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
-
-if TYPE_CHECKING:
-    from deepbots_cli.program import Member
 
 _MAX_ENDINGS = 20
 """The number of endings with a curve of their own."""

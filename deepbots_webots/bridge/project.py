@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
 from deepbots_cli import api
 from deepbots_cli.codegen import load_module
@@ -24,20 +24,17 @@ from deepbots_cli.codegen.names import class_name
 from deepbots_cli.codegen.robot import controller_names
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.port import Engine, EngineProxy
+from deepbots_cli.program import Program
+from deepbots_cli.program.robots import Direction, Robot
 from deepbots_cli.program.task import Hyperparameter, Training
+from deepbots_cli.program.world import WorldModel
 from deepbots_cli.records import dataclass
+from deepbots_cli.runtime import RobotController, Supervisor
 from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.runtime.messages import FieldCodec
+from deepbots_cli.runtime.streams import Streams
 from deepbots_webots.bridge.plant import MirrorEngine, Plant
-
-if TYPE_CHECKING:
-    from deepbots_cli.program import Program
-    from deepbots_cli.program.robots import Direction, Robot
-    from deepbots_cli.program.world import WorldModel
-    from deepbots_cli.runtime import RobotController, Supervisor
-    from deepbots_cli.runtime.streams import Streams
-
 
 START = "start"
 """The first cell of the message that begins an episode."""

@@ -10,7 +10,7 @@ from contextlib import closing
 from dataclasses import field
 from math import inf
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import deepbots_cli
 from deepbots_cli import api
@@ -22,10 +22,14 @@ from deepbots_cli.codegen.names import class_name, docstring
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.frames import Frame
 from deepbots_cli.learning.runs.run import ModelRef
+from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Motor, Robot
 from deepbots_cli.records import dataclass
+from deepbots_cli.robots.model import Joint
 from deepbots_cli.rollout.source import Source, SourceKind
+from deepbots_cli.runtime import Supervisor
 from deepbots_cli.words import shell_word
 from deepbots_webots.bridge import names
 from deepbots_webots.bridge.project import (
@@ -39,13 +43,6 @@ from deepbots_webots.bridge.project import (
     project_of,
 )
 from deepbots_webots.export.world import joint_stops, world_text
-
-if TYPE_CHECKING:
-    from deepbots_cli.frames import Frame
-    from deepbots_cli.program import Program
-    from deepbots_cli.robots.model import Joint
-    from deepbots_cli.runtime import Supervisor
-
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""

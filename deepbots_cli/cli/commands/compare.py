@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.analysis.changes import Change, Effect, scenario_changes
+from deepbots_cli.analysis.changes import Change, Effect, Meanings, scenario_changes
 from deepbots_cli.cli import arguments, records, terminal
 from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.cli.command import (
@@ -43,7 +43,6 @@ from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.words import counted, number_text, rate_text, shell_word
 
 if TYPE_CHECKING:
-    from deepbots_cli.analysis.changes import Meanings
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning.comparison import Comparison, GroupResult
     from deepbots_cli.learning.matches import Match, MatchTable

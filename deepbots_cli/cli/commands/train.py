@@ -49,8 +49,8 @@ from deepbots_cli.document.files import display_path
 from deepbots_cli.document.load import TUNE
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError
-from deepbots_cli.learning import report
-from deepbots_cli.learning.campaigns.group import Group
+from deepbots_cli.learning import EvaluationResult, TrainingResult, report
+from deepbots_cli.learning.campaigns.group import Group, GroupTraining
 from deepbots_cli.learning.campaigns.study import Objective, Study, create_study
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.records import RunRecord
@@ -63,8 +63,6 @@ from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.insight.statements import Statement
-    from deepbots_cli.learning import EvaluationResult, TrainingResult
-    from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
 

@@ -10,14 +10,14 @@ from dataclasses import asdict, replace
 from itertools import islice
 from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import typer
 
 from deepbots_cli import api, rollout
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import arguments, records, terminal
-from deepbots_cli.cli.arguments import scenario_names
+from deepbots_cli.cli.arguments import OpenedSource, scenario_names
 from deepbots_cli.cli.command import (
     Case,
     ClusterAddress,
@@ -47,19 +47,15 @@ from deepbots_cli.learning.executor import Attempt, results
 from deepbots_cli.learning.runs.episodes import Summary, agent_scores
 from deepbots_cli.learning.scenario_tests import TestResult, UnmetExpectation, run_tests
 from deepbots_cli.lint.settings import settings
-from deepbots_cli.program import RANDOM
+from deepbots_cli.program import RANDOM, Program
 from deepbots_cli.program.task import ScenarioTest
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Driver, Episode
 from deepbots_cli.rollout.drivers import POLICY, named_driver
 from deepbots_cli.rollout.episode import own_episode
+from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.words import counted, shell_word
-
-if TYPE_CHECKING:
-    from deepbots_cli.cli.arguments import OpenedSource
-    from deepbots_cli.program import Program
-    from deepbots_cli.runtime import Supervisor
 
 ROBOT = "Robot"
 COUNT = 3

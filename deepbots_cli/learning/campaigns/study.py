@@ -41,7 +41,14 @@ from deepbots_cli.learning.runs.directories import new_directory
 from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.runs.order import Measure, Rank, rank
 from deepbots_cli.learning.runs.records import versions
-from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, Interval, compare_seeds, mean_interval
+from deepbots_cli.learning.runs.statistics import (
+    ALPHA,
+    UNBOUNDED,
+    Difference,
+    Interval,
+    compare_seeds,
+    mean_interval,
+)
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import STUDY_RECORD_NAME, SourceKind
 from deepbots_cli.scenario.search import SearchSpace
@@ -49,7 +56,6 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.runs.statistics import Difference
 
 JOURNAL_NAME = "journal.log"
 Objective = Literal["solved", "success_rate", "mean_return"]

@@ -51,7 +51,6 @@ from deepbots_cli.scenario.search import SearchSpace
 if TYPE_CHECKING:
     import optuna
 
-    from deepbots_cli.learning.executor import Interruption
 
 PRUNED_BY = "tune"
 """The value of `stopped_by` of a run whose trial was pruned."""

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
@@ -25,17 +25,15 @@ from stable_baselines3.common.logger import HParam, KVWriter, Logger, TensorBoar
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.errors import PluginError, UsageError
+from deepbots_cli.learning.callbacks import ActiveTraining
 from deepbots_cli.learning.checkpoints import NumpyScalar, Pending
 from deepbots_cli.learning.runs.episodes import Summary, agent_returns
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
+from deepbots_cli.learning.teaching import Plan, Teaching
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.program.task import Training
 from deepbots_cli.rollout.seats import own_entries, own_name
-
-if TYPE_CHECKING:
-    from deepbots_cli.learning.callbacks import ActiveTraining
-    from deepbots_cli.learning.teaching import Plan, Teaching
 
 T = TypeVar("T")
 R = TypeVar("R")
