@@ -12,14 +12,16 @@ import unicodedata
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 from urllib.parse import quote
-from xml.etree import ElementTree
 
 from deepbots_cli import __version__
 from deepbots_cli.diagnostics.findings import Finding, Fix, Label, Source, Span
 from deepbots_cli.diagnostics.registry import RULES, Severity
 from deepbots_cli.words import counted
+
+if TYPE_CHECKING:
+    from xml.etree import ElementTree
 
 Format = Literal["full", "concise", "json"]
 

@@ -30,13 +30,16 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
 from itertools import chain, islice
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
-from xml.etree import ElementTree
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.frames import from_axis_angle, rotate
 from deepbots_cli.records import dataclass
+
+if TYPE_CHECKING:
+    from xml.etree import ElementTree
+
 
 _MAX_INDICES = 6_000_000  # 1,500,000 corners, as of an OBJ file, of four numbers each
 MAX_CORNERS = 1_500_000
