@@ -134,7 +134,7 @@ class Places(NamespaceReader):
         coordinates: dict[str, Expression | None] = {}
         for vector_key, parts in (("xyz", SPACE), ("rpy", _ROTATION_KEYS)):
             for part in parts:
-                if getattr(pose, part) == "any":
+                if parts is _ROTATION_KEYS and getattr(pose, part) == "any":
                     coordinates[part] = self._values.field(pose, part).expression(_ANY_ANGLE)
                 else:
                     coordinates[part] = self._fields.expression(pose, part, scope=self._scope)
