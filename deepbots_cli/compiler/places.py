@@ -19,6 +19,7 @@ from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, single
 from deepbots_cli.expressions.lower import constant_values
+from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.expressions.types import (
     PLANE,
     SPACE,
@@ -142,9 +143,10 @@ class Places(NamespaceReader):
             if vector is not None:
                 typed = vector.typed
                 for index, part in enumerate(parts):
-                    component_type = typed.type.selected((index,))
                     tree = (
-                        ComponentSelection(component_type, typed.start, typed.end, typed, (index,))
+                        ComponentSelection(
+                            typed.type.selected((index,)), typed.start, typed.end, typed, (index,)
+                        )
                         if typed.type.components
                         else typed
                     )
@@ -267,14 +269,14 @@ class Places(NamespaceReader):
         """Report DB105 if several copies of a group may be placed at the same coordinates."""
         copies = group.capacity if place.at_most is None else min(group.capacity, place.at_most)
         plane = [place.coordinates[axis] for axis in PLANE if axis in place.coordinates]
-        keys = ("region", "grid", "on") if plane else ("region", "line", "grid", "on")
-        if any(self._values.is_present((*path, key)) for key in keys):
-            return  # there would be spots, or the beginning of a line, were it not for a finding
+        unread = {*PLANE} - place.coordinates.keys() if plane else {*PLANE, "line", "xyz"}
+        if any(self._values.is_present((*path, key)) for key in ("region", "grid", "on", *unread)):
+            return  # there would be spots or coordinates, were it not for a finding
         if (
             copies > 1
             and place.spot is None
             and not any(place.spacing)
-            and all(constant_values(coordinate.typed) is not None for coordinate in plane)
+            and not any(is_drawn(coordinate.scalar) for coordinate in plane)
         ):
             self._values.add_at_key(
                 "DB105",

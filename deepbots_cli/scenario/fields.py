@@ -203,8 +203,7 @@ _MAX_LISTED = 24
 def choices_help(word: str, words: Sequence[str]) -> str:
     """Return the help for an unknown word: the probable word, and all known words. A long list is left out
     if the word is probably a typing error."""
-    line = line_for(word, words)
-    if line is not None:
+    if (line := line_for(word, words)) is not None:
         return f"write `{line}`"
     synonym = word_for(word, words)
     near = synonym or nearest_word(word, words)
