@@ -463,11 +463,16 @@ def test_bench_reports_its_progress():
     assert progress == [(0, 2), (1, 2), (2, 2)]
 
 
-def test_a_project_names_a_clone_and_no_index(deepbots, tmp_path):
-    deepbots("compile", "cartpole", "--project", "mine")
+@pytest.mark.parametrize(
+    ("scenario", "extra"), [("cartpole", "train"), ("find_and_avoid", "contrib")], ids=["train", "contrib"]
+)
+def test_a_project_names_a_clone_with_the_extra_of_its_algorithm_and_no_index(
+    deepbots, tmp_path, scenario, extra
+):
+    deepbots("compile", scenario, "--project", "mine")
     text = (tmp_path / "mine" / "requirements.txt").read_text()
     assert "==" not in text
-    assert "deepbots-cli[train] @ file:///" in text
+    assert f"deepbots-cli[{extra}] @ file:///" in text
 
 
 def test_warnings_about_a_file_of_a_package_are_one_line(deepbots):

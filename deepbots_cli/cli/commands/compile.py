@@ -24,7 +24,9 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.installation import clone_folder
 from deepbots_cli.program import identity
+from deepbots_cli.program.task import Training
 from deepbots_cli.scenario.json_schema import schema_text
+from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import shell_word
 
 
@@ -67,8 +69,9 @@ def command(
     compiled = api.compile(scenario, overrides=overrides or (), permissions=permissions)
     output = terminal.output_file(output)
     if output is not None:
-        sources = () if compiled.document is None else compiled.document.files
-        terminal.refuse_input(output, sources, compiled.inputs.values())
+        terminal.refuse_input(
+            output, () if compiled.document is None else compiled.document.files, compiled.inputs.values()
+        )
     terminal.note_warnings(compiled.findings, scenario)
     if project is not None:
         paths = write_new(project_files(compiled), project, force=force)
@@ -95,9 +98,8 @@ def project_files(compiled: api.Compiled) -> Files:
     """Return the files of the project, README first; the templates are in `project/`."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    folder = Path(__file__).parents[1] / "project"
     templates = Environment(
-        loader=FileSystemLoader(folder),
+        loader=FileSystemLoader(Path(__file__).parents[1] / "project"),
         undefined=StrictUndefined,
         keep_trailing_newline=True,
         autoescape=False,
@@ -119,25 +121,28 @@ def project_files(compiled: api.Compiled) -> Files:
     contents |= {
         "environment.py": formatted(compiled.code),
         RESOLVED_NAME: compiled.resolved,
-        "requirements.txt": _requirements(),
+        "requirements.txt": _requirements(compiled.program.agent.training),
     }
     copies = {PurePosixPath(INPUTS_FOLDER, path): content for path, content in compiled.inputs.items()}
     return {PurePosixPath(path): text.encode() for path, text in contents.items()} | copies
 
 
-def _requirements() -> str:
+def _requirements(training: Training | None) -> str:
     """Return the requirements of the project: the clone from which deepbots was installed, if pip records it;
     no package index has deepbots."""
+    used = () if training is None else (training, *(own for _, own in training.agents))
+    is_contrib = any(ALGORITHMS[each.algorithm].import_path.startswith("sb3_contrib:") for each in used)
+    extra = "contrib" if is_contrib else "train"
     clone = clone_folder()
     version = deepbots_cli.__version__
     if clone is None:
         return (
             f"# deepbots {version} is not on a package index; write the path of its clone here\n"
-            "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
+            f"# deepbots-cli[{extra}] @ file:///PATH/TO/THE/CLONE\n"
         )
     return (
         f"# deepbots {version} is installed from a clone; write its path here if it has moved\n"
-        f"deepbots-cli[train] @ {clone.as_uri()}\n"
+        f"deepbots-cli[{extra}] @ {clone.as_uri()}\n"
     )
 
 

@@ -320,8 +320,7 @@ def _evaluate_run(
     """Evaluate a model of a run in each engine; `kept_model` is the choice of that model."""
     run = ref.run
     gates = request.gates
-    case = request.case
-    stage = request.stage
+    case, stage = request.case, request.stage
     scenarios = request.scenarios(run.record.engine)
     programs = [run.program if compiled is None else compiled.program for compiled in scenarios]
     for program in programs:
@@ -388,10 +387,8 @@ def _evaluate_in_engine(
     """Evaluate a model of a run, and the models that it is compared with; `further_options` are options of
     `evaluate`, and `first` is the evaluation in the first engine. An interruption ends it, and is raised if
     nothing is finished."""
-    case = request.case
-    stage = request.stage
-    engine = further_options["engine"]
-    judged = further_options["scenario"]
+    case, stage = request.case, request.stage
+    engine, judged = further_options["engine"], further_options["scenario"]
     unit = "episodes" if engine is None else f"episodes in {engine}"
     options = {**request.options, **further_options}
     episodes = options["episodes"]
