@@ -500,10 +500,9 @@ class _Setting:
     ) -> tuple[str, ...]:
         """Return notes on how this evaluation differs from the training, or from an ordinary evaluation."""
         run = self.run
-        digest = (self.judged or self.run).digest
         trained_in = self.run.record.engine
         lines = [f"scenario {elsewhere}"] if elsewhere else []
-        if not elsewhere and run.record.digest not in (digest, run.digest):
+        if not elsewhere and run.record.digest not in ((self.judged or run).digest, run.digest):
             lines.append("scenario changed since the training")
         lines += [f"--set {shell_word(text)}" for text in overrides]
         if self.case:
@@ -524,7 +523,9 @@ class _Setting:
         judged = self.judged
         if judged is None or (judged.digest == self.run.record.digest and not self._is_part):
             return None, ()
-        is_own = judged.source.resolve() == (self.run.path / RESOLVED_NAME).resolve()
+        path = self.run.path.resolve()
+        # The scenario of a group is that of its runs, which are in its folder.
+        is_own = judged.source.resolve() in (path / RESOLVED_NAME, path.parent / RESOLVED_NAME)
         name = (
             judged.source.name
             if judged.source.name != RESOLVED_NAME

@@ -59,6 +59,7 @@ from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
+from deepbots_cli.rollout.source import Source, SourceKind
 from tests.commands import Deepbots
 
 SHORT = Training(
@@ -82,6 +83,15 @@ def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: 
     assert scenario_changes(group, run) == []
     with pytest.raises(UsageError, match="is a group, which cannot be changed after the training"):
         open_source(str(trained_group.group), ("track=1 m",), Permissions())
+
+
+def test_a_change_of_the_scenario_of_a_group_is_no_other_scenario(trained_group: GroupTraining) -> None:
+    source = Source.open(trained_group.group, Permissions(), SourceKind.GROUP)
+    changed = api.compile(source, overrides=("truncation.max_steps=5",))
+    evaluation = evaluate_group(trained_group.group, scenario=changed, episodes=2, build=stand_in.build)
+    assert [result.circumstances for result in evaluation.evaluations] == [
+        ("--set truncation.max_steps=5",)
+    ] * 3
 
 
 class InterruptsSeed(Reporter):
