@@ -59,7 +59,6 @@ from deepbots_cli.learning.runs.verdict import last_episodes
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training
 from deepbots_cli.rollout import Episode
-from deepbots_cli.rollout.source import Source, SourceKind
 from tests.commands import Deepbots
 
 SHORT = Training(
@@ -86,8 +85,7 @@ def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: 
 
 
 def test_a_change_of_the_scenario_of_a_group_is_no_other_scenario(trained_group: GroupTraining) -> None:
-    source = Source.open(trained_group.group, Permissions(), SourceKind.GROUP)
-    changed = api.compile(source, overrides=("truncation.max_steps=5",))
+    changed = api.compile(trained_group.group / "resolved.yaml", overrides=("truncation.max_steps=5",))
     evaluation = evaluate_group(trained_group.group, scenario=changed, episodes=2, build=stand_in.build)
     assert [result.circumstances for result in evaluation.evaluations] == [
         ("--set truncation.max_steps=5",)
@@ -263,9 +261,11 @@ def test_a_group_is_evaluated_by_one_score_per_seed(trained_group: GroupTraining
     starts = [[episode.seed for episode in result.outcomes] for result in evaluation.evaluations]
     assert starts[0] == starts[1] == starts[2]
     assert evaluation.returns == [result.mean_return for result in evaluation.evaluations]
-    assert evaluation.mean_return == fmean(evaluation.returns)
-    assert evaluation.return_interval == mean_interval(evaluation.returns)
-    assert evaluation.interquartile_mean == interquartile_mean(evaluation.returns)
+    assert (evaluation.mean_return, evaluation.return_interval, evaluation.interquartile_mean) == (
+        fmean(evaluation.returns),
+        mean_interval(evaluation.returns),
+        interquartile_mean(evaluation.returns),
+    )
     alone = evaluate(trained_group.group / "seed-1", episodes=6, seed=0, build=stand_in.build)
     assert alone.model_dump(mode="json") == evaluation.evaluations[1].model_dump(mode="json")
 
