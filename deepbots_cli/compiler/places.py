@@ -18,7 +18,6 @@ from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH, NUMBER, Dimension
 from deepbots_cli.expressions.intervals import TURN, single
-from deepbots_cli.expressions.lower import constant_values
 from deepbots_cli.expressions.scalar import is_drawn
 from deepbots_cli.expressions.types import (
     PLANE,
@@ -54,7 +53,7 @@ def has_top(body: ObjectBody) -> bool:
 def _is_tilted(place: Placement) -> bool:
     """Return whether a body may stand otherwise than upright."""
     turns = [place.coordinates[turn] for turn in ("roll", "pitch") if turn in place.coordinates]
-    return any(constant_values(turn.typed) != (0.0,) for turn in turns)
+    return any(turn.typed.type.interval != single(0.0) for turn in turns)
 
 
 def _fixed(value: float, dimension: Dimension) -> Constant:
