@@ -145,9 +145,7 @@ def static_findings(checked: CheckedScenario, *, preview: bool = False) -> Itera
     if checked.agents:
         root = checked.document.root
         shares_endings = root is not None and "termination" in root.entries
-        for finding in _findings_of_agents(
-            [list(static_findings(agent, preview=preview)) for agent in checked.agents.values()]
-        ):
+        for finding in _findings_of_agents(checked.agents.values(), preview=preview):
             yield _about_shared_ending(finding) if shares_endings and finding.code == "DB703" else finding
     versions = [
         _Version(name, RuleContext(version), CascadeFilter(version)) for name, version in _versions(checked)
@@ -253,12 +251,20 @@ def _about_shared_ending(finding: Finding) -> Finding:
     return replace(finding, help=help, fix=None)
 
 
-def _findings_of_agents(of_each: Sequence[Sequence[Finding]]) -> Iterator[Finding]:
-    """Yield the findings of several agents, each once. What only some agents do not use is used."""
-    of_all = set.intersection(*({finding.sort_key for finding in findings} for findings in of_each))
-    unique = {finding.sort_key: finding for findings in of_each for finding in findings}
+def _findings_of_agents(agents: Iterable[CheckedScenario], *, preview: bool) -> Iterator[Finding]:
+    """Yield the findings of several agents, each once. What only some agents do not use is used. An ending
+    behind another one has no effect if that is so for each agent that has it."""
+    of_each = []
+    for agent in agents:
+        findings = {finding.sort_key: finding for finding in static_findings(agent, preview=preview)}
+        endings = agent.program.endings if agent.program else ()
+        of_each.append((findings, {ending.span for ending in endings}))
+    unique = {key: finding for findings, _ in of_each for key, finding in findings.items()}
     for key, finding in unique.items():
-        if finding.code not in _OF_ALL_AGENTS or key in of_all:
+        places = {finding.span, *(label.span for label in finding.labels)}
+        is_pair = len(places) > 1 and any(places <= spans for _, spans in of_each)
+        having = [findings for findings, spans in of_each if not is_pair or finding.span in spans]
+        if finding.code not in _OF_ALL_AGENTS or all(key in findings for findings in having):
             yield finding
 
 
