@@ -114,7 +114,9 @@ def shipped_summaries(*, variants: bool) -> dict[str, str]:
     """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
     paths = [path for path in map(scenario_path, scenario_names()) if path is not None]
     return {
-        path.stem: summary_of(path) for path in paths if ("\nextends:" in path.read_text("utf-8")) is variants
+        path.stem: summary_of(path)
+        for path in paths
+        if (re.search(r"(?m)^extends:", path.read_text("utf-8")) is not None) is variants
     }
 
 

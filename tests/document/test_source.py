@@ -778,6 +778,13 @@ def test_the_span_of_a_scalar_reads_as_that_scalar(data: dict[str, object]) -> N
             assert all(node.part(i, i + 1).text == node.text[i] for i in visible)
 
 
+def test_a_scenario_whose_first_line_extends_another_is_a_variant(tmp_path, monkeypatch):
+    (tmp_path / "mine.yaml").write_text("extends: cartpole\nsummary: Mine.\n")
+    monkeypatch.setattr(shipped, "scenario_names", lambda: ["mine"])
+    monkeypatch.setattr(shipped, "scenario_path", lambda name: tmp_path / f"{name}.yaml")
+    assert shipped.shipped_summaries.__wrapped__(variants=True) == {"mine": "Mine."}
+
+
 UNTIDY = """
 
 deepbots:   1
