@@ -476,13 +476,14 @@ class Push:
         self._now = -settling
         self._due = first / self._substep - _TIME_TOLERANCE
         self._left = 0.0
+        self._last = -inf
         self._force: Triple = ZERO_VECTOR
         self._torque: Triple = ZERO_VECTOR
 
-    @property
-    def current_force(self) -> Triple:
-        """The force (N) that pushes now; zero between two pushes."""
-        return self._force if self._left > 0.0 else ZERO_VECTOR
+    def force_within(self, substeps: int) -> Triple:
+        """Return the force (N) that pushed in one of the last `substeps` substeps; zero between two
+        pushes."""
+        return self._force if self._now - self._last < substeps else ZERO_VECTOR
 
     def _act(self) -> None:
         if self._now >= self._due:
@@ -492,13 +493,11 @@ class Push:
             self._due += until_next / self._substep
         self._now += 1
         left = self._left
-        if left >= 1.0:
-            self._push(self._force, self._torque)
-            self._left = left - 1.0
-        elif left > 0.0:
-            (x, y, z), (a, b, c) = self._force, self._torque
-            self._push((left * x, left * y, left * z), (left * a, left * b, left * c))
-            self._left = 0.0
+        if left > 0.0:
+            self._last = self._now
+            (x, y, z), (a, b, c), share = self._force, self._torque, min(left, 1.0)
+            self._push((share * x, share * y, share * z), (share * a, share * b, share * c))
+            self._left = left - share
 
 
 # Controllers

@@ -346,8 +346,9 @@ class Player:
         """
         run = self.opened.run if name == POLICY else None
         if name.startswith(POLICY_OF):
-            permissions = self.opened.shown.permissions
-            run = Run.open(Source.open(name.removeprefix(POLICY_OF), permissions, SourceKind.RUN))
+            run = Run.open(
+                Source.open(name.removeprefix(POLICY_OF), self.opened.shown.permissions, SourceKind.RUN)
+            )
         self.driver = self.make_driver(self.env, name) if run is None else self.run_driver(run)
         self.driver_name = name
 

@@ -419,6 +419,8 @@ class FrameReader:
             self._returns[name] = self._returns.get(name, 0.0) + agent.reward if env.step_count else 0.0
             agents[name] = self._agent(agent, own_observation, own_action, self._returns[name])
         images = {key: camera.reading for key, camera in self._cameras.items()}
+        substeps = env.scenario.world.substeps * env.scenario.action_repeat
+        pushes = ((part, push.force_within(substeps)) for part, push in self._pushes)
         return WorldFrame(
             step=env.step_count,
             time=env.step_count * env.scenario.period,
@@ -427,9 +429,7 @@ class FrameReader:
             rays={key: tuple(map(float, read())) for key, read in self._rays.items()},
             readings={key: tuple(map(float, sensor.reading)) for key, sensor in self._sensors.items()},
             forces={part: force for part, force in forces.items() if force > 0.0},
-            pushes=tuple(
-                (part, force) for part, push in self._pushes if (force := push.current_force) != ZERO_VECTOR
-            ),
+            pushes=tuple(push for push in pushes if push[1] != ZERO_VECTOR),
             variants=self._variants
             | {body: variant.name for body, variant in chosen_variants.items() if body in self._variants},
             messages={

@@ -414,8 +414,14 @@ def _pictures(
         for frame in world_frames:
             if _is_drawn(frame, every):
                 on_frame(frame)
-                view = shot.now(player, player.view(shot.width, shot.height))
-                yield player.render(replace(view, width=shot.width, height=shot.height, samples=shot.samples))
+                yield player.render(
+                    replace(
+                        shot.now(player, player.view(shot.width, shot.height)),
+                        width=shot.width,
+                        height=shot.height,
+                        samples=shot.samples,
+                    )
+                )
 
     return taken(), speed / player.program.period / every
 
@@ -485,8 +491,9 @@ def _write_page(player: Player, path: Path, world_frames: Iterator[WorldFrame], 
     try:
         program = player.program
         first = next(world_frames)
-        size = aim_camera(page, overview(program))
-        world = WorldScene(page.scene, player.env.world, player.reader.layout, size=size)
+        world = WorldScene(
+            page.scene, player.env.world, player.reader.layout, size=aim_camera(page, overview(program))
+        )
         world.set_frame(first, after_reset=True)
         world.draw(1.0)
         recording = page.get_scene_serializer()

@@ -519,10 +519,13 @@ def test_every_copy_of_a_robot_has_frames_of_its_own():
         assert len({frame.links[name, "pole"][0] for name in frame.agents}) == 9
 
 
-def test_a_push_is_in_the_frames_while_it_lasts():
-    with closing(Player(Showing("quadruped", case="pushed").open(), ZERO)) as player:
-        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 390)]
-    assert 5 <= sum(pushed) <= 18  # one to three pushes of 100 ms within 7.8 s, in steps of 20 ms
+@pytest.mark.parametrize(("duration", "steps"), [("100 ms", 5), ("20 ms", 1), ("10 ms", 1)])
+def test_a_push_is_in_the_frames_of_the_steps_in_which_it_acts(duration, steps):
+    push = f"{{body: cart, force: 1 0 0 N, at: 0.2 s, duration: {duration}}}"
+    settings = ("world.timestep=20 ms", f"disturbances={{push: {push}}}")
+    with closing(Player(Showing("cartpole", settings).open(), ZERO)) as player:
+        pushed = [bool(frame.pushes) for frame in player.episode(0, 0, 20)]
+    assert sum(pushed) == steps
 
 
 def test_fields_have_units_ranges_and_options():
