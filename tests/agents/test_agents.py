@@ -335,8 +335,9 @@ def test_an_episode_of_each_agent_has_its_own_length_and_result(carts: Path) -> 
         )
     )
     with closing(api.make(carts)) as world:
-        driver = AgentsDriver(world, {"left": "ahead", "right": "zero"})
-        episode = result_of(steps(world, driver, Start(3)), 0)
+        episode = result_of(
+            steps(world, AgentsDriver(world, {"left": "ahead", "right": "zero"}), Start(3)), 0
+        )
         left, right = (own_episode(member, episode) for member in world.scenario.members.values())
     assert left.ended_by == "left_fell"
     assert left.is_success is False

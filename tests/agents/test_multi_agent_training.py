@@ -343,8 +343,9 @@ ROLE = "role={agent: right, others: {left: lean}}"
 
 @pytest.fixture
 def carts_with_critic(tmp_path: Path) -> api.Compiled:
-    file = write_scenario(tmp_path, CRITIC + PPO_CRITIC_ALONE)
-    return api.compile(file, overrides=[ROLE, "world.engine=mujoco"])
+    return api.compile(
+        write_scenario(tmp_path, CRITIC + PPO_CRITIC_ALONE), overrides=[ROLE, "world.engine=mujoco"]
+    )
 
 
 def test_the_worlds_of_the_training_show_what_its_own_critic_sees(
@@ -537,8 +538,12 @@ def trained_alike(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
     if request.param == "RecurrentPPO":
         pytest.importorskip("sb3_contrib")
     folder = tmp_path_factory.mktemp("policies")
-    text = SHARED.replace("algorithm: PPO", f"algorithm: {request.param}")
-    deepbots_cli.train(write_scenario(folder, text), run=folder / "run", seed=1, total_timesteps=128)
+    deepbots_cli.train(
+        write_scenario(folder, SHARED.replace("algorithm: PPO", f"algorithm: {request.param}")),
+        run=folder / "run",
+        seed=1,
+        total_timesteps=128,
+    )
     return folder / "run"
 
 

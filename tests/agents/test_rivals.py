@@ -264,9 +264,8 @@ def test_robustness_is_that_of_one_agent(trained: Path, deepbots: Deepbots) -> N
 
 @pytest.mark.slow
 def test_a_group_of_agents_that_compete_shows_the_return_of_each(tmp_path: Path, deepbots: Deepbots) -> None:
-    scenario = write_scenario(tmp_path, SHARED)
     deepbots_cli.learning.train_group(
-        api.compile(scenario), [1, 2], group=tmp_path / "group", total_timesteps=64
+        api.compile(write_scenario(tmp_path, SHARED)), [1, 2], group=tmp_path / "group", total_timesteps=64
     )
     lines = deepbots("eval", tmp_path / "group", "--episodes", "2").out.splitlines()
     assert lines[1].split() == ["run", "left", "right"]

@@ -800,8 +800,7 @@ def test_the_center_of_mass_of_a_bent_arm_is_the_mean_of_its_links_by_mass():
         (Joint("hinge", "continuous", "base", "tip", Pose((0.0, 0.0, 2.0)), (0.0, 1.0, 0.0)),),
         "base",
     )
-    where = link_frames(arm, {"hinge": radians(90.0)})
-    assert center_of_mass(arm, where) == pytest.approx((1.0, 0.0, 0.5))
+    assert center_of_mass(arm, link_frames(arm, {"hinge": radians(90.0)})) == pytest.approx((1.0, 0.0, 0.5))
 
 
 @pytest.mark.parametrize(("factor", "grows"), [(0.98, True), (1.02, False)])

@@ -431,8 +431,9 @@ def test_an_engine_that_cannot_build_the_world_is_not_compared(tmp_path):
     (tmp_path / "hills.yaml").write_text(
         "deepbots: 1\nextends: cartpole\nname: Hills\nworld: {terrain: {type: mesh, file: ground.obj}}\n"
     )
-    program = api.compile(tmp_path / "hills.yaml").program
-    assert list(engine_speeds(program, "pybullet", seconds=0.001).windows) == ["pybullet"]
+    assert list(
+        engine_speeds(api.compile(tmp_path / "hills.yaml").program, "pybullet", seconds=0.001).windows
+    ) == ["pybullet"]
 
 
 def test_a_bench_measures_no_more_rounds_than_fit_into_its_time():

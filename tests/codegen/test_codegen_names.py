@@ -191,8 +191,10 @@ def test_a_name_of_a_scenario_without_the_form_of_a_name_is_refused(tmp_path: Pa
     ],
 )
 def test_any_summary_can_be_printed(tmp_path: Path, summary: str) -> None:
-    code = api.compile(scenario(tmp_path, summary=summary)).code
-    exec(compile(code, "printed", "exec"), {"__name__": "printed"})
+    exec(
+        compile(api.compile(scenario(tmp_path, summary=summary)).code, "printed", "exec"),
+        {"__name__": "printed"},
+    )
 
 
 @pytest.mark.parametrize(

@@ -207,8 +207,9 @@ def test_a_robot_is_sent_the_action_variables_that_it_uses_and_what_it_asks_for(
 
 
 def test_what_is_asked_for_may_stand_in_for_an_action_variable(workshop, rail) -> None:
-    text = rail(("    emit:", "    receive: {drive: drive / 2}\n    emit:"))
-    (robot,) = workshop.compile(text).program.robots
+    (robot,) = workshop.compile(
+        rail(("    emit:", "    receive: {drive: drive / 2}\n    emit:"))
+    ).program.robots
     assert [field.name for field in robot.to_robot.fields] == ["drive"]
     assert robot.received[0].scalars != (Name("drive"),)
 
@@ -315,8 +316,7 @@ def test_names_may_be_used_before_they_are_defined(workshop, cartpole) -> None:
 
 
 def test_a_circle_is_reported_once_and_in_full(workshop, cartpole) -> None:
-    text = cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x"))
-    (finding,) = workshop.lint(text)
+    (finding,) = workshop.lint(cartpole(("  x:         position(cart).x", "  x: y + z\n  y: z\n  z: x")))
     assert (finding.code, finding.notes) == ("DB207", ("the cycle is x -> y -> z -> x",))
 
 
@@ -687,8 +687,7 @@ def test_a_case_may_exchange_the_kinds_of_a_group(workshop, cartpole) -> None:
 @pytest.mark.slow
 def test_a_reward_of_thousands_of_terms_compiles_and_adds_up(workshop, rail) -> None:
     terms = "".join(f"  r{index}: {index}\n" for index in range(3000))
-    with_terms = rail(("reward: {alive: 1}", f"reward:\n{terms}"))
-    env = api.make(workshop.write(with_terms), engine="exact")
+    env = api.make(workshop.write(rail(("reward: {alive: 1}", f"reward:\n{terms}"))), engine="exact")
     env.reset(seed=0)
     assert env.step(env.action_space.sample())[1] == sum(range(3000))
     env.close()
@@ -757,8 +756,9 @@ def test_signals_that_use_the_one_before_twice_are_followed_once_by_every_rule(
     chain = "".join(f"  s{index}: {step.format(f's{index - 1}')}\n" for index in range(1, 38))
     signals = f"signals:\n  unused: cart.place\n  s0: {first}\n{chain}"
     ends = f"termination:\n  success: {{done: {condition.format('s37')}}}\n"
-    text = rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))
-    findings = api.lint(workshop.write(text), preview=True)
+    findings = api.lint(
+        workshop.write(rail(("reward:", f"{signals}reward:"), ("termination:\n", ends))), preview=True
+    )
     assert "DB205" in {
         finding.code for finding in findings
     }  # which it comes to, instead of following 2^37 paths

@@ -600,8 +600,11 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
         put(folder / "lesson" / "checks", **{name: own + tests})
         put(folder / "own", **{name: DRIVE % (reward, limit)})
     put(folder / "lesson", lesson=POLICY_LESSON)
-    compiled = api.compile(folder / "own" / "drive.yaml")
-    train(compiled, run=folder / "own" / "runs" / "drive-0-1", total_timesteps=1024)
+    train(
+        api.compile(folder / "own" / "drive.yaml"),
+        run=folder / "own" / "runs" / "drive-0-1",
+        total_timesteps=1024,
+    )
     return folder
 
 

@@ -381,8 +381,7 @@ def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> Non
 def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
     (tmp_path / "robots").mkdir()
     (tmp_path / "robots" / "epuck.yaml").write_text("urdf: epuck.urdf\n")
-    path = write(tmp_path, main="r: {include: robots/epuck.yaml}\n")
-    document = load(path, ["r.extra=mine.urdf"])
+    document = load(write(tmp_path, main="r: {include: robots/epuck.yaml}\n"), ["r.extra=mine.urdf"])
     robot = document.root.get("r") if document.root else None
     assert isinstance(robot, MappingNode)
     assert document.directory_of(robot.entries["urdf"].value.span) == tmp_path / "robots"

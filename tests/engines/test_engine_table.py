@@ -211,8 +211,9 @@ def halves(damping: float) -> WorldModel:
         Link(name, Inertial(1.0, ixx=0.02, iyy=0.02, izz=izz)) for name, izz in (("a", 0.01), ("b", 0.03))
     )
     hinge = Joint("hinge", "continuous", "a", "b", Pose((0, 0, 0.1)), (0, 0, 1), damping=damping)
-    model = RobotModel("pair", links, (hinge,), root="a")
-    return WorldModel(0.02, 5, WEIGHTLESS, None, robots=(RobotBody("robot", model),))
+    return WorldModel(
+        0.02, 5, WEIGHTLESS, None, robots=(RobotBody("robot", RobotModel("pair", links, (hinge,), root="a")),)
+    )
 
 
 def weight(

@@ -475,8 +475,9 @@ def dumbbell() -> WorldModel:
     hull = Link("hull", Inertial(3.0, ixx=0.1, iyy=0.2, izz=0.3))
     weight = Link("weight", Inertial(2.0, Pose((0, 0.5, 0)), ixx=0.04, iyy=0.04, izz=0.04))
     hinge = Joint("hinge", "continuous", "hull", "weight", axis=(1, 0, 0))
-    model = RobotModel("dumbbell", (hull, weight), (hinge,), root="hull")
-    return WorldModel(0.02, 4, robots=(RobotBody("robot", model),))
+    return WorldModel(
+        0.02, 4, robots=(RobotBody("robot", RobotModel("dumbbell", (hull, weight), (hinge,), root="hull")),)
+    )
 
 
 def bend(engine: Engine) -> None:

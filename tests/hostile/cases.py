@@ -112,8 +112,7 @@ def _of_yaml() -> Iterator[Hostile]:
             ("DB005", "DB001"),
             added("deep: " + ("\n  " if sign in ("- ", "? ") else "") + sign * 50_000),
         )
-    indented = "".join(f"{' ' * i}k:\n" for i in range(900))
-    yield Hostile("nested by indentation", ("DB005",), added(indented))
+    yield Hostile("nested by indentation", ("DB005",), added("".join(f"{' ' * i}k:\n" for i in range(900))))
     yield Hostile("many documents", ("DB001",), SCENARIO.encode() + b"---\na: 1\n" * 50_000)
     yield Hostile("many keys", ("DB005", "DB101"), added("".join(f"k{i}: 1\n" for i in range(60_000))))
     yield Hostile("one key forty thousand times", ("DB002", "DB005"), added("again: 1\n" * 40_000))

@@ -621,8 +621,12 @@ def aiming(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "reward.there=300 when there",
         "train.total_timesteps=512",
     ]
-    compiled = api.compile(api.load("cartpole", overrides=sets))
-    return train(compiled, total_timesteps=512, seed=2, run=tmp_path_factory.mktemp("runs") / "aiming").run
+    return train(
+        api.compile(api.load("cartpole", overrides=sets)),
+        total_timesteps=512,
+        seed=2,
+        run=tmp_path_factory.mktemp("runs") / "aiming",
+    ).run
 
 
 @pytest.mark.parametrize("name", few(CASES, [name for name in CASES if name not in SLOW]))

@@ -74,8 +74,9 @@ def test_an_evaluation_of_a_run_is_read(carriage, tmp_path):
 
 
 def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_path):
-    by_hand = "scripts={by_hand: {drive: 4 * gap / m}, idle: {drive: 0}}"
-    training = read_training(Run.open(train_shuttle(tmp_path, by_hand)))
+    training = read_training(
+        Run.open(train_shuttle(tmp_path, "scripts={by_hand: {drive: 4 * gap / m}, idle: {drive: 0}}"))
+    )
     run_probes(training)
     assert {name: len(traces) for name, traces in training.scripts.items()} == {"by_hand": 8, "idle": 8}
     poor = [Episode(0.0, 60, k < 6, "max_steps") for k in range(100)]
@@ -184,9 +185,15 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
         "train.ent_coef=5",
     ]
     overrides += ["augment.tilt=max(abs(cart.pole_angle) / rad, 0.19)", "observation.tilt=0.2 .. 0.4"]
-    compiled = api.compile(api.load("cartpole", overrides=overrides))
     training = read_training(
-        Run.open(train(compiled, total_timesteps=512, seed=2, run=tmp_path / "dead").run)
+        Run.open(
+            train(
+                api.compile(api.load("cartpole", overrides=overrides)),
+                total_timesteps=512,
+                seed=2,
+                run=tmp_path / "dead",
+            ).run
+        )
     )
     assert "action_without_effect" not in causes_of(training)
     run_probes(training)
@@ -248,8 +255,9 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
 
 
 def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(tmp_path, capsys):
-    never = "termination.success={parked: abs(gap) < near and time > 60 s}"
-    run = train_shuttle(tmp_path, "truncation.max_steps=5", never)
+    run = train_shuttle(
+        tmp_path, "truncation.max_steps=5", "termination.success={parked: abs(gap) < near and time > 60 s}"
+    )
     assert main(["eval", str(run), "--episodes", "2"]) == 0
     capsys.readouterr()
     assert main(["eval", str(run), "--episodes", "failed"]) == 0
@@ -494,8 +502,9 @@ def test_a_report_has_the_causes_of_an_unsolved_training(carriage, tmp_path):
 
 @pytest.mark.slow
 def test_the_line_of_a_finding_in_a_report_is_that_of_the_listing_below(tmp_path):
-    hit = "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
-    warned = train_shuttle(tmp_path, "reward.time=-2", hit)
+    warned = train_shuttle(
+        tmp_path, "reward.time=-2", "termination.failure={hit: abs(shuttle.place) > 0.49 m}"
+    )
     assert main(["eval", str(warned), "--episodes", "9"]) == 0
     page = Report.read(warned).html()
     linted = linted_scenario(Run.open(warned))

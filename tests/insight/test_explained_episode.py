@@ -141,8 +141,9 @@ def test_an_explanation_of_one_step_begins_its_sentences_with_capitals(tmp_path:
 
 
 def test_an_explanation_of_agents_that_compete_names_the_one_that_won() -> None:
-    tag = api.load("tag", overrides=["endings.escaped.when=time >= 0.3 s"])
-    watch = instrument_program(api.compile(tag).program)
+    watch = instrument_program(
+        api.compile(api.load("tag", overrides=["endings.escaped.when=time >= 0.3 s"])).program
+    )
     with closing(TraceRecorder(api.build(watch.program), watch)) as world:
         play(world, constant_driver(np.zeros(world.action_space.shape, np.float32)))
         trace = world.trace("the episode")
