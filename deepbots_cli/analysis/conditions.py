@@ -65,8 +65,10 @@ def _compared(
             for arg in args:
                 yield from _compared(analysis, value, arg, operators, met)
         case Reference(symbol=symbol) if (
-            definition := analysis.expression_named(symbol.name)
-        ) is not None and definition.typed.type.boolean:
+            value.owner not in analysis.robot_of
+            and (definition := analysis.expression_named(symbol.name)) is not None
+            and definition.typed.type.boolean
+        ):
             if symbol.name not in met and definition.foreign is None:
                 met.add(symbol.name)
                 yield from _compared(analysis, definition, definition.typed, operators, met)
@@ -87,7 +89,7 @@ def _deciding(
         case Operation(operator="or", args=args):
             for arg in args:
                 yield from _deciding(analysis, value, arg, met)
-        case Reference(symbol=symbol) if symbol.name not in met:
+        case Reference(symbol=symbol) if symbol.name not in met and value.owner not in analysis.robot_of:
             met.add(symbol.name)
             definition = analysis.expression_named(symbol.name)
             if definition is not None and definition.foreign is None and definition.typed.type.boolean:

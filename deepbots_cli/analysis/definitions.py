@@ -83,18 +83,17 @@ class DefinitionAnalysis:
         }
         """The objects that are not solid, and links without a collision shape: nothing touches them."""
         self._roots = {f"{robot.name}.{robot.model.root}": robot.name for robot in program.world.robots}
-        self._defined: dict[str, tuple[Expression, str]] = {
-            value.name: (value, "") for value in (*program.parameters, *program.signals)
-        }
-        self._defined |= {ending.name: (ending, "") for ending in program.endings}
-        self._defined |= {
-            f"{robot.name}.{value.name}": (value, robot.name)
-            for robot in program.robots
-            for value in robot.emit
+        self._defined: dict[str, Expression] = {
+            value.name: value for value in (*program.parameters, *program.signals, *program.endings)
         }
         self._defined |= {
-            f"{link.receiver}.{value.name}": (value, "") for link in program.links for value in link.values
+            f"{robot.name}.{value.name}": value for robot in program.robots for value in robot.emit
         }
+        self._defined |= {
+            f"{link.receiver}.{value.name}": value for link in program.links for value in link.values
+        }
+        self.robot_of = {value.owner: robot.name for robot in program.robots for value in robot.emit}
+        """The robot of each value that a robot computes, by its owner: its names are those of the robot."""
         routes = {
             f"{robot.name}.{value.name}": robot.from_route
             for robot in program.robots
@@ -109,10 +108,10 @@ class DefinitionAnalysis:
         """The route of each value in a message that may be late or lost; none in the ideal analysis."""
         if program.agent.goal is not None:
             self._defined |= {
-                "achieved": (program.agent.goal.achieved, ""),
-                "desired": (program.agent.goal.desired, ""),
+                "achieved": program.agent.goal.achieved,
+                "desired": program.agent.goal.desired,
             }
-            self._defined["goal_reached"] = (_goal_reached(program.agent.goal), "")
+            self._defined["goal_reached"] = _goal_reached(program.agent.goal)
         self._components: dict[str, dict[str | None, Scalar]] = {}
         self._lowerings: dict[str, _CachedLowering] = exact._lowerings if exact else {}
         self._dependencies: dict[int, tuple[Scalar, frozenset[str]]] = {}
@@ -141,15 +140,16 @@ class DefinitionAnalysis:
 
     def expression_named(self, name: str) -> Expression | None:
         """Return the definition of a name, where it has one."""
-        expression = self._defined.get(name)
-        return expression[0] if expression else None
+        return self._defined.get(name)
 
     def scalars(self, value: Expression) -> tuple[Scalar, ...]:
-        """Return a value of the supervisor, per component. For a value in Python only the type is known."""
+        """Return a value, per component. For a value in Python only the type is known."""
         return self.lowered(value.typed, value.owner)
 
     def lowered(self, typed: TypedNode, owner: str) -> tuple[Scalar, ...]:
-        """Return a tree of the supervisor, per component; the same objects each time."""
+        """Return a tree of a value, per component; the same objects each time for one of the supervisor."""
+        if owner in self.robot_of:
+            return self.value_on_robot(typed, owner, self.robot_of[owner])
         if owner not in self._lowerings:
             self._lowerings[owner] = _CachedLowering(owner, self.leaves)
         return self._lowerings[owner].scalars(typed)
@@ -178,7 +178,7 @@ class DefinitionAnalysis:
 
     def is_noisy(self, name: str) -> bool:
         """Return whether a name is a measurement with noise, which is not followed."""
-        return not self._is_ideal and name in self._defined and self._defined[name][0].noise is not None
+        return not self._is_ideal and name in self._defined and self._defined[name].noise is not None
 
     def definition(self, node: Name) -> Scalar | None:
         """Return the definition of a name, which may be another name; None for a leaf."""
@@ -187,11 +187,11 @@ class DefinitionAnalysis:
 
     def definition_without_noise(self, node: Name) -> Scalar | None:
         """Return the definition of a name regardless of noise: the exact value."""
-        if node.name not in self._defined or self._defined[node.name][0].foreign is not None:
+        if node.name not in self._defined or self._defined[node.name].foreign is not None:
             return None
         if node.name not in self._components:
-            value, robot = self._defined[node.name]
-            trees = self.value_on_robot(value.typed, value.owner, robot) if robot else self.scalars(value)
+            value = self._defined[node.name]
+            trees = self.scalars(value)
             names = value.components if len(trees) > 1 else (None,)
             self._components[node.name] = dict(zip(names, trees, strict=False))
         components = self._components[node.name]

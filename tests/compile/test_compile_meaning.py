@@ -789,6 +789,18 @@ def test_rules_follow_a_signal_or_an_ending_that_has_the_name_of_the_noisy_senso
     assert workshop.codes(rail(noisy, *changes.items())) == [code]
 
 
+def test_a_condition_of_a_robot_is_judged_by_its_sensors_and_not_by_signals_of_their_names(
+    workshop, rail
+) -> None:
+    text = rail(
+        ("emit: [place, rate, lean, turn]", "emit: {near: place > 2 m, rate: rate, lean: lean, turn: turn}"),
+        ("  cart.place: -2.4 .. 2.4 m\n", ""),
+        ("reward:", "signals: {place: position(cart.pole).z}\nreward:"),
+        ("off:    abs(cart.place) > 2.3 m", "far: cart.near\n    low: place > 1.5 m"),
+    )
+    assert workshop.codes(text) == []
+
+
 def test_a_command_is_judged_by_the_value_that_the_robot_receives_and_not_by_the_signal_of_its_name(
     workshop, rail
 ) -> None:
