@@ -125,10 +125,11 @@ def return_range(reward: RewardTerms) -> Interval:
     step = total_range(reward.terms, reward.ranges_while_running())
     # These are the ranges for any endings, also several at once.
     end = total_range(reward.terms, analysis.ranges_in(1.0, float(analysis.last_step)))
+    program = analysis.program
     # The last timestep is the end, whose reward is added below.
-    ticks = analysis.last_step * analysis.program.action_repeat - 1
+    ticks = min(program.truncation.timesteps(program.world.timestep, program.action_repeat).values()) - 1
     # An ending may come true in the first step.
-    fewest = 0 if analysis.program.endings else ticks
+    fewest = 0 if program.endings else ticks
     # Where a step costs, the longest episode has the lowest return, otherwise the shortest.
     low, high = -INF, INF
     if step.low > -INF:

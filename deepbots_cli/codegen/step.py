@@ -21,7 +21,6 @@ from deepbots_cli.program import ENDED, EPISODE_RETURN, PREVIOUS_REWARD, TERMINA
 from deepbots_cli.program.robots import Link, Robot, Route
 from deepbots_cli.program.task import Observation, Option
 from deepbots_cli.program.values import Expression, Noise
-from deepbots_cli.program.world import whole_timesteps
 
 _SUMMANDS = 100
 
@@ -571,12 +570,8 @@ def _success(
 def _tick_limit(supervisor: SupervisorPrinter) -> tuple[int, str] | None:
     """Return the number of timesteps at which an episode is cut short, and the name of that limit; a step is
     cut short only by an ending."""
-    scenario, ticks = supervisor.scenario, dict[str, int]()
-    limits = scenario.truncation
-    if limits.max_steps is not None:
-        ticks["max_steps"] = limits.max_steps * scenario.action_repeat
-    if limits.max_time is not None:
-        ticks["max_time"] = max(1, whole_timesteps(limits.max_time, scenario.world.timestep))
+    scenario = supervisor.scenario
+    ticks = scenario.truncation.timesteps(scenario.world.timestep, scenario.action_repeat)
     of_members = (member.program.agent.success for member in scenario.members.values())
     successes = {*scenario.agent.success}.union(*of_members)
     # Of equal limits, the name is that of a success, else `max_steps`.

@@ -28,7 +28,6 @@ from deepbots_cli.program.resets import OfSensor
 from deepbots_cli.program.robots import Thrust
 from deepbots_cli.program.task import ExpectedResult, ScenarioTest
 from deepbots_cli.program.values import Expression
-from deepbots_cli.program.world import whole_timesteps
 from deepbots_cli.robots import kinematics
 from deepbots_cli.robots.model import Box, Capsule, Cylinder, RobotModel, Shape, Sphere
 
@@ -212,13 +211,10 @@ def _with_return(analysis: Analysis, first: int, last: int) -> Ranges:
 
 def _later_limit(context: RuleContext) -> Iterator[Finding]:
     """Report the later one of `max_steps` and `max_time`."""
-    limits = context.program.truncation
-    if limits.max_steps is None or limits.max_time is None:
+    program = context.program
+    ticks = program.truncation.timesteps(program.world.timestep, program.action_repeat)
+    if len(ticks) < 2:
         return
-    ticks = {
-        "max_steps": limits.max_steps * context.program.action_repeat,
-        "max_time": whole_timesteps(limits.max_time, context.program.world.timestep),
-    }
     earlier, later = sorted(ticks, key=lambda name: ticks[name])
     if ticks[earlier] < ticks[later]:
         headline = f"`{later}` has no effect: `{earlier}` always ends the episode first"

@@ -321,6 +321,16 @@ class Truncation:
         """The names of the limits that there are."""
         return tuple(name for name in ("max_steps", "max_time") if getattr(self, name) is not None)
 
+    def timesteps(self, timestep: float, action_repeat: int) -> dict[str, int]:
+        """Return the number of timesteps, of `timestep` s each, after which each limit ends an episode; it
+        may be within a step of the agent."""
+        ticks = {}
+        if self.max_steps is not None:
+            ticks["max_steps"] = self.max_steps * action_repeat
+        if self.max_time is not None:
+            ticks["max_time"] = max(1, whole_timesteps(self.max_time, timestep))
+        return ticks
+
     def max_episode_steps(self, period: float) -> int:
         """Return the steps of the agent, of `period` s each, after which an episode is cut short at the
         latest."""
