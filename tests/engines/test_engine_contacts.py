@@ -308,6 +308,15 @@ def test_robots_see_each_other_but_not_themselves(engine_name, build):
     assert engine.rays(("scout", "head"), [towards(0.0, pi / 2)], 10.0)() == pytest.approx([1.5], abs=1e-6)
 
 
+def test_a_fixed_robot_with_rays_does_not_touch_the_ground(engine_name, build):
+    scout = RobotBody("scout", gray_scout(), True, Pose((0, 0, 0.1)))
+    engine = build(engine_name, WorldModel(0.02, 1, robots=(scout,)))
+    touches = engine.contact(("scout", None), [("ground", None)])
+    engine.rays(("scout", None), [towards(0.0)], 10.0)
+    engine.step(2)
+    assert not touches()
+
+
 def test_rays_do_not_see_marks_and_change_no_collisions(engine_name, worlds, build):
     seeing, blind = build(engine_name, worlds.arena()), build(engine_name, worlds.arena())
     read = seeing.rays(("robot", None), [towards(pi / 2), towards(0.0, 0.0, (0.0, 0.0, 0.02))], 3.0)

@@ -249,6 +249,7 @@ class Rays:
     def __init__(self, client: int, bodies: Sequence[Body], read_cache: ReadCache) -> None:
         self._client = client
         self._cache = read_cache
+        self._fixed = [body for body in bodies if body.fixed]
         self._free_groups = iter(range(FIRST_GROUP, LAST_GROUP + 1))
         self._round_surfaces = {
             (body.number, index): rounded
@@ -345,6 +346,11 @@ class Rays:
                     " is one more"
                 )
             body.group = 1 << group
+            for other in self._fixed if body.fixed else ():
+                # Two fixed roots never touch, which PyBullet decides by their common group.
+                p.setCollisionFilterPair(
+                    body.number, other.number, BASE_LINK, BASE_LINK, 0, physicsClientId=self._client
+                )
             body.forget_pairs()
         return body.group
 
