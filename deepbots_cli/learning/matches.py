@@ -18,6 +18,7 @@ from pydantic import BaseModel
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled
+from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.policy import loaded
 from deepbots_cli.learning.runs.episodes import Scores, agent_scores
@@ -104,6 +105,7 @@ def play_matches(
     seed: int | None = None,
     engine: str | None = None,
     on_episode: OnEpisode | None = None,
+    permissions: Permissions = Permissions(),
 ) -> MatchTable:
     """Play the policies of runs, the scripts of the scenario and random actions against each other.
 
@@ -114,6 +116,8 @@ def play_matches(
         seed: Root seed of the starts; by default that of the evaluation of the first run, or 0.
         engine: The physics engine; by default that of the first training, or of the scenario.
         on_episode: Called after each episode with the number of finished episodes, and of all.
+        permissions: From which folders a `scenario` may read, and whether its Python functions, or those of
+            the first run, may be run.
 
     Raises:
         RunError: One of these is not a run, or is damaged.
@@ -122,7 +126,7 @@ def play_matches(
     """
     refs = [run if isinstance(run, ModelRef) else ModelRef.open(run) for run in runs]
     first = refs[0].run if refs else None
-    program = _played_program(first, scenario)
+    program = _played_program(first, scenario, permissions)
     if seed is None:
         seed = 0 if first is None else first.evaluation_seed
     starts = [
@@ -150,7 +154,7 @@ def play_matches(
 
     matches: list[Match] = []
     engine = engine or (None if first is None else first.record.engine)
-    with torch_settings(), closing(api.build(program, engine=engine)) as world:
+    with torch_settings(), closing(api.build(program, engine=engine, permissions=permissions)) as world:
 
         def played(as_one: Player, as_two: Player) -> list[Episode]:
             driver = AgentsDriver(
@@ -214,10 +218,12 @@ def _like_random(program: Program, policies: Sequence[str], matches: Sequence[Ma
                 )
 
 
-def _played_program(run: Run | None, scenario: str | Path | Compiled | None) -> Program:
+def _played_program(
+    run: Run | None, scenario: str | Path | Compiled | None, permissions: Permissions
+) -> Program:
     """Return the program of both agents: of the scenario, or of the run."""
     if scenario is not None:
-        program = _world_of(api.compile(scenario).program)
+        program = _world_of(api.compile(scenario, permissions=permissions).program)
     elif run is not None:
         program = _world_of(run.program)
     else:

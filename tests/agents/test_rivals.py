@@ -188,6 +188,13 @@ def test_policies_play_in_another_scenario_of_the_same_agents(
     assert deepbots("compare", trained, "--episodes", "1", *words).out.startswith("Short: ")
 
 
+def test_scripts_of_a_scenario_with_python_play_where_code_is_allowed(
+    tmp_path: Path, deepbots: Deepbots
+) -> None:
+    file = write_scenario(tmp_path, SHARED.replace("{upright: ", "{code: {python: builtins:hash}, upright: "))
+    assert deepbots("compare", file, "--episodes", "1", "--allow-code").out.startswith("Carts: ")
+
+
 def test_a_policy_that_random_actions_equal_is_named(trained: Path) -> None:
     (note,) = play_matches([trained], episodes=4).notes  # 64 steps of training
     assert note.startswith("policy is not clearly better than random actions: against them, it wins")

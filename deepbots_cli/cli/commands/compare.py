@@ -104,7 +104,7 @@ def command(
             raise UsageError(f"{runs[0]} is the scenario in which its scripts play; leave out --scenario")
         if scenario is not None:
             judged = _compiled(scenario, permissions)
-        _show_matches(rivals, judged, episodes, seed, as_json=as_json)
+        _show_matches(rivals, judged, episodes, seed, permissions, as_json=as_json)
         return
     if scenario is not None:
         judged = _compiled(scenario, permissions)
@@ -159,13 +159,26 @@ def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compi
 
 
 def _show_matches(
-    rivals: Sequence[ModelRef], judged: Compiled | None, episodes: int | None, seed: int, *, as_json: bool
+    rivals: Sequence[ModelRef],
+    judged: Compiled | None,
+    episodes: int | None,
+    seed: int,
+    permissions: Permissions,
+    *,
+    as_json: bool,
 ) -> None:
     """Let agents that compete play against each other, and print the matches."""
     with terminal.transient_line("loading the policies ..."):
         play_matches = learning.play_matches
     with terminal.progress(always=False) as show:
-        matches = play_matches(rivals, scenario=judged, episodes=episodes, seed=seed, on_episode=show)
+        matches = play_matches(
+            rivals,
+            scenario=judged,
+            episodes=episodes,
+            seed=seed,
+            on_episode=show,
+            permissions=permissions,
+        )
     terminal.show(matches, *match_lines(matches), as_json=as_json)
 
 
