@@ -257,7 +257,7 @@ def evaluation_text(
         "episodes": f"{held_out(result.episodes)} from evaluation seed"
         f" {result.seed}, which no training uses{'' if result.deterministic else ', actions sampled'}",
         **_statistics(result, success_defined=result.success_defined, agents=result.agents),
-        **{f"reward {name}": f"{mean:.2f} per episode" for name, mean in terms.items()},
+        **{f"reward {name}": f"{mean:z.2f} per episode" for name, mean in terms.items()},
     }
     if result.case:
         where = f", case {result.case}"
