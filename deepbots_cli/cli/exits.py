@@ -76,9 +76,8 @@ def _exit_code(run: Callable[[], object]) -> int:
         # The system does not name the file where writing fails, in contrast to opening.
         if error.filename is None and error.errno not in _DISK_ERRORS:
             return _fault(error)
-        terminal.print_error(
-            f"{os.fsdecode(error.filename or 'writing a file')}: {(error.strerror or 'cannot be used').lower()}"
-        )
+        reason = (error.strerror or "cannot be used").lower()
+        terminal.print_error(f"{os.fsdecode(error.filename or 'writing a file')}: {reason}")
         return WRONG_USAGE
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]

@@ -31,9 +31,9 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.scenario import Scenario
 
 MAX_CHAIN = 40
-"""The maximum number of definitions each of which uses the next one, unless its value is fixed and those that it
-uses are typed before. Each takes 15 of the 1000 frames of Python while it is typed, about 7 where a rule follows
-the chain, and more where the name is within nested operations."""
+"""The maximum number of definitions each of which uses the next one, unless its value is fixed and those that
+it uses are typed before. Each takes 15 of the 1000 frames of Python while it is typed, about 7 where a rule
+follows the chain, and more where the name is within nested operations."""
 _MAX_NAMES_IN_CYCLE = 12
 
 

@@ -53,8 +53,8 @@ try:
     import mujoco
 except (AttributeError, RuntimeError) as error:
     raise EngineError(
-        f"MuJoCo cannot be imported with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}, which is not a library of"
-        " OpenGL on this machine; unset MUJOCO_GL, and deepbots chooses one"
+        f"MuJoCo cannot be imported with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')}, which is not a library"
+        " of OpenGL on this machine; unset MUJOCO_GL, and deepbots chooses one"
     ) from error
 
 __all__ = ["mujoco"]
