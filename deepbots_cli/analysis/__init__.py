@@ -5,9 +5,9 @@ sensors to the facts that they measure. It says what a value depends on. The mod
 order:
 
 definitions.py what a value is defined by and depends on; which values are the same quantity
-ranges.py      the interval of a value, in any step and right after a reset; intervals as text
+ranges.py      the interval of a value, in any step and right after a reset; intervals as text; what the terms
+               of the reward pay in a step and at an end; the return of an episode
 conditions.py  the comparisons in a condition, the thresholds that they set, endings that hide others
-returns.py     what the terms of the reward pay in a step and at an end; the return of an episode
 changes.py     what differs between two scenarios
 shown_units.py in which unit a quantity is shown: the one in which the file writes it
 """
@@ -19,8 +19,7 @@ from functools import cached_property
 
 from deepbots_cli.analysis.conditions import shadowed_endings
 from deepbots_cli.analysis.definitions import unobserved_reads
-from deepbots_cli.analysis.ranges import RangeAnalysis
-from deepbots_cli.analysis.returns import RewardTerms, return_range
+from deepbots_cli.analysis.ranges import RangeAnalysis, RewardTerms, return_range
 from deepbots_cli.program import Program
 from deepbots_cli.program.values import Expression
 

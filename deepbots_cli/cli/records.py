@@ -16,8 +16,7 @@ from deepbots_cli.cli.tables import Row, row_as_lines, table, write_tables
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
-from deepbots_cli.learning.runs.records import PATIENCE, RunRecord, TrainingResult
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import PATIENCE, ModelRef, Run, RunRecord, TrainingResult
 from deepbots_cli.learning.runs.statistics import Interval, episodes_above
 from deepbots_cli.learning.runs.verdict import last_episodes, run_verdict
 from deepbots_cli.rollout.episode import own_episode

@@ -27,7 +27,7 @@ from typing import IO, Any, NamedTuple, NoReturn, Protocol, Self
 import deepbots_cli
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.learning.executor import Attempt
-from deepbots_cli.learning.runs.records import versions
+from deepbots_cli.learning.runs.run import versions
 from deepbots_cli.processes import message_streams
 from deepbots_cli.records import dataclass
 

@@ -6,7 +6,6 @@ marking.py          the marks of one step: the teacher's task with the student's
 evidence.py         whether the record of a training explains its policy
 copies.py           policies that two students handed in
 marking_process.py  the entry point of the process, with limits, that marks a step
-grading.py          the marks of many hand-ins, and their tables
-progress.py         a lesson that a student has started: its points, its hints
+grading.py          the marks of many hand-ins, and their tables; a lesson that a student has started
 proof.py            the proof of a lesson: starters, solutions, half solutions, and cheats
 """

@@ -1,5 +1,6 @@
 """The marks of many hand-ins: each step in a process of its own, with limits on CPU time, memory, the clock,
-and the size of its folder. A hand-in that hangs, crashes or fills the disk loses that step only.
+and the size of its folder. A hand-in that hangs, crashes or fills the disk loses that step only. The folder of
+a student who has started a lesson is marked as a hand-in.
 
 Tests and replays give the same marks in every run on machines of one kind. A training is judged by its
 evaluation on starts that nobody knew, whose 95 % interval the marks name.
@@ -10,15 +11,17 @@ from __future__ import annotations
 import html
 import json
 import os
+import re
+import shutil
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, field, replace
 from datetime import date
-from itertools import count, islice
+from itertools import accumulate, count, islice
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +29,10 @@ from pydantic import TypeAdapter
 
 from deepbots_cli.course.copies import without_copies
 from deepbots_cli.course.hand_ins import collect
-from deepbots_cli.course.lessons import Lesson
+from deepbots_cli.course.lessons import SOLUTION, START, Lesson, course_folder, lesson_named
 from deepbots_cli.course.marking import CheckMark, StepMark, guarded, unfinished
 from deepbots_cli.errors import StorageError, UsageError
-from deepbots_cli.files import csv_text
+from deepbots_cli.files import atomic_write, check_folder, csv_text, read_at_most
 from deepbots_cli.processes import Process, ending
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted, printable
@@ -378,3 +381,114 @@ def as_page(lesson: Lesson, marks: Marks, seed: int) -> str:
     title = html.escape(f"{lesson.label}: {marks.student}")
     score = marks.score if marks.is_open else f"{marks.score} points"
     return PAGE_HEAD + _PAGE.format(title=title, score=score, body="\n".join(parts))
+
+
+PROGRESS_NAME = "course.json"
+_MAX_PROGRESS_BYTES = 65_536
+
+
+@dataclass(frozen=True)
+class Started:
+    """A started lesson. `hints` counts the hints that were shown, by step.
+
+    The file in the folder is the student's own, so its points are for the list of lessons only.
+    """
+
+    folder: Path
+    reference: str
+    points: int = 0
+    hints: Mapping[str, int] = field(default_factory=dict)
+
+    def lesson(self) -> Lesson:
+        """Return the lesson.
+
+        Raises:
+            UsageError: It is not here: a teacher keeps the checks of an own lesson.
+        """
+        return lesson_named(self.reference)
+
+    def write(self) -> None:
+        data = {"lesson": self.reference, "points": self.points, "hints": dict(self.hints)}
+        with atomic_write(self.folder / PROGRESS_NAME) as draft:
+            draft.write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
+
+    @property
+    def scenario(self) -> Path:
+        """The scenario of the first step that the points so far do not fill; that of the last step after it.
+
+        Raises:
+            UsageError: As for `lesson`.
+        """
+        steps = [*self.lesson().steps.items()]
+        done = sum(end <= self.points for end in accumulate(step.points for _, step in steps))
+        return self.folder / f"{steps[min(done, len(steps) - 1)][0]}.yaml"
+
+    def check(self, workers: int = 1) -> Marks:
+        """Mark the folder, and keep the points."""
+        (marks,) = grade(self.lesson(), [(self.folder.resolve().name, self.folder)], workers=workers)
+        replace(self, points=marks.points).write()
+        return marks
+
+    def shown_hints(self, step: str) -> tuple[str, ...]:
+        """Return the hints of a step that the student has seen."""
+        return tuple(self.lesson().steps[step].hints[: self.hints.get(step, 0)])
+
+    def next_hint(self, step: str) -> tuple[int, str]:
+        """Return the number of the next hint of a step and the hint, and count it; the last one stays.
+
+        Raises:
+            UsageError: The lesson has no such step, or the step no hints.
+        """
+        lesson = self.lesson()
+        if step not in lesson.steps:
+            raise UsageError(f"there is no step '{step}'; the steps are {', '.join(lesson.steps)}")
+        hints = lesson.steps[step].hints
+        if not hints:
+            raise UsageError(f"{step} has no hints; README.md explains what it needs")
+        number = min(self.hints.get(step, 0) + 1, len(hints))
+        replace(self, hints={**self.hints, step: number}).write()
+        return number, hints[number - 1]
+
+
+def started_in(folder: Path) -> Started | None:
+    """Return the lesson that was started in a folder; None without one."""
+    try:
+        data = json.loads(read_at_most(folder / PROGRESS_NAME, _MAX_PROGRESS_BYTES))
+        hints = {step: count for step, count in data.get("hints", {}).items() if isinstance(count, int)}
+        return Started(folder, str(data["lesson"]), int(data.get("points", 0)), hints)
+    except (OSError, OverflowError, ValueError, RecursionError, KeyError, AttributeError, TypeError):
+        return None
+
+
+def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
+    """Write the files of a lesson for a student into a new folder, perhaps with those of a solution.
+
+    Args:
+        lesson: The lesson.
+        folder: The new folder.
+        solution: The folder of the solution in that of the lesson, such as `half/1-range`.
+
+    Raises:
+        UsageError: The folder is not empty, is within that of a lesson, or cannot be written; there is no such
+            solution.
+    """
+    solved = lesson.folder / (solution or START)
+    if not solved.is_dir():
+        raise UsageError(f"{lesson.folder} has no folder '{solution}'; write `--with {SOLUTION}`")
+    check_folder(folder)
+    if started_in(folder.resolve().parent) is not None:
+        raise UsageError(f"{folder} would be in the folder of another lesson; run `cd ..` first")
+    if folder.exists() and any(folder.iterdir()):
+        raise UsageError(
+            f"{folder} is not empty; name another folder, or go on there with `deepbots course check`"
+        )
+    for files in (lesson.folder / START, solved):
+        shutil.copytree(files, folder, dirs_exist_ok=True)
+    if text := lesson.text("text.md"):
+        # The pages of links such as `../04-endings/text.md` are not in the folder.
+        text = re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", text)
+        (folder / "README.md").write_text(text, encoding="utf-8")
+    for picture in (*lesson.folder.glob("*.png"), *lesson.folder.glob("*.svg")):
+        shutil.copy(picture, folder)
+    reference = lesson.name if lesson.folder.parent == course_folder() else str(lesson.folder.resolve())
+    Started(folder, reference).write()

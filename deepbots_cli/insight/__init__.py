@@ -7,11 +7,11 @@ episode.py     the table that explains an episode
 training.py    the evidence about a training: its logs and evaluations, and its short episodes
 scenario_facts.py  what a scenario has already, what lint says of it, and the command that trains it again
 causes.py      why a training does not learn: `CAUSES`, the table of all causes, with the numbers of faults,
-               the observation, teachers, other agents and the end of the training
+               the observation, teachers, other agents and the end of the training; the causes of a training
+               in their order, each with the next command
 rewards.py     the numbers of causes in the reward
 stages.py      those in stages, starts and missing success
 learner.py     those in the learner, and the settings of a training that fell apart
-diagnosis.py   the causes of a training in their order, each with the next command
 robot_log.py   the log of a robot beside the simulation: values with another distribution
 transfer.py    a policy in another world: what differs, and which changes explain it; recorded_worlds.py the
                values of both worlds, and the changes

@@ -29,7 +29,7 @@ from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, EngineError, MissingExtraError, RunError
 from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.insight import figures
-from deepbots_cli.insight.diagnosis import causes_after, causes_of
+from deepbots_cli.insight.causes import causes_after, causes_of
 from deepbots_cli.insight.scenario_facts import LintedScenario, linted_scenario
 from deepbots_cli.insight.statements import Statement, render_template
 from deepbots_cli.insight.training import read_trainings

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deepbots_cli.analysis import possible_returns
-from deepbots_cli.analysis.returns import break_even
+from deepbots_cli.analysis.ranges import break_even
 from deepbots_cli.insight.stages import hides_success, plateau
 from deepbots_cli.insight.statements import Numbers, Percentage, SuccessRate, list_text
 from deepbots_cli.insight.trace import Trace, comparisons_in, measure

@@ -15,7 +15,7 @@ from shlex import join
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import comparisons
-from deepbots_cli.analysis.returns import Terms, measured_subjects, total_range, uses_earlier_values
+from deepbots_cli.analysis.ranges import Terms, measured_subjects, total_range, uses_earlier_values
 from deepbots_cli.analysis.shown_units import ShownUnits
 from deepbots_cli.compiler.inputs import INPUTS_FOLDER, RESOLVED_NAME
 from deepbots_cli.diagnostics import Finding
@@ -29,8 +29,7 @@ from deepbots_cli.expressions.scalar import EngineRead, Name, Scalar
 from deepbots_cli.expressions.types import Known
 from deepbots_cli.files import read_at_most
 from deepbots_cli.insight.statements import quantity_text
-from deepbots_cli.learning.runs.records import changed_settings
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, changed_settings
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import ObservedNumber
 from deepbots_cli.records import dataclass

@@ -1,8 +1,7 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
-training.py              train and resume: joins all of the below; the speed with several shards
+training.py              train, resume and repeat: joins all of the below; the speed with several shards
 training_loop.py         a training from its last checkpoint to its end
-repetition.py            a training once more, and whether it gives the same policy
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
 callbacks.py             the callback of a training: evaluations, confirmations, the best model, when to stop
 checkpoints.py           the whole state of a training, from which it continues to the bit, and its files
@@ -49,11 +48,10 @@ if TYPE_CHECKING:
     )
     from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
-    from deepbots_cli.learning.repetition import Repetition, repeat
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
-    from deepbots_cli.learning.runs.records import TrainingResult
-    from deepbots_cli.learning.training import checked_settings, resume, train
+    from deepbots_cli.learning.runs.run import TrainingResult
+    from deepbots_cli.learning.training import Repetition, checked_settings, repeat, resume, train
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
@@ -63,9 +61,8 @@ _MODULES = {
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "runs.evaluations": ("EvaluationResult",),
-    "runs.records": ("TrainingResult",),
-    "repetition": ("Repetition", "repeat"),
-    "training": ("checked_settings", "resume", "train"),
+    "runs.run": ("TrainingResult",),
+    "training": ("Repetition", "checked_settings", "repeat", "resume", "train"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = [
@@ -105,5 +102,5 @@ def __getattr__(name: str) -> object:
             raise
         raise MissingExtraError(
             "train",
-            "training" if _HOMES[name] in ("campaigns.group", "repetition", "training") else "evaluating",
+            "training" if _HOMES[name] in ("campaigns.group", "training") else "evaluating",
         ) from error

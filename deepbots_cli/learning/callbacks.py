@@ -40,8 +40,7 @@ from deepbots_cli.learning.runs.episodes import (
     agents_line,
 )
 from deepbots_cli.learning.runs.order import SHORTLIST, Candidate, Shortlist, measure_of, most_episodes
-from deepbots_cli.learning.runs.records import PATIENCE
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import PATIENCE, Run
 from deepbots_cli.learning.runs.statistics import COST_SHARE, Confirmation, Interval, may_begin
 from deepbots_cli.learning.teaching import Plan, TeacherState, Teaching
 from deepbots_cli.records import dataclass

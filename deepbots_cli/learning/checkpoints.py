@@ -38,8 +38,7 @@ from deepbots_cli.learning.callbacks import MAX_CHECK_INTERVAL, CallbackState, T
 from deepbots_cli.learning.runs.curriculum import CurriculumState
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.episodes import StatisticsState
-from deepbots_cli.learning.runs.records import MAX_STATE_BYTES
-from deepbots_cli.learning.runs.run import Run, opened_archive
+from deepbots_cli.learning.runs.run import MAX_STATE_BYTES, Run, opened_archive
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.rollout.collector import ShardState
 from deepbots_cli.runtime.batch import EpisodeHistory

@@ -39,8 +39,7 @@ from deepbots_cli.learning.runs.order import (
     measure_of,
     play_off,
 )
-from deepbots_cli.learning.runs.records import BestModel
-from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, has_model, steps_of
+from deepbots_cli.learning.runs.run import BestModel, ModelName, ModelRef, Run, has_model, steps_of
 from deepbots_cli.learning.runs.statistics import ALPHA, UNBOUNDED, error_level
 from deepbots_cli.learning.runs.verdict import quoted_episodes, solved_verdict
 from deepbots_cli.learning.sb3.algorithms import torch_settings

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     import gymnasium as gym
 
     from deepbots_cli.learning.callbacks import TrainingCallback
-    from deepbots_cli.learning.runs.records import PoolGames, Rating
+    from deepbots_cli.learning.runs.run import PoolGames, Rating
     from deepbots_cli.learning.sb3.logs import TrainingLog
     from deepbots_cli.learning.teaching import Demonstrations, Plan, PolicyTeacher
 

@@ -13,7 +13,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.learning.executor import Watcher
 from deepbots_cli.learning.runs.episodes import agents_text
 from deepbots_cli.learning.runs.order import Candidate, Measure
-from deepbots_cli.learning.runs.records import TrainingResult
+from deepbots_cli.learning.runs.run import TrainingResult
 from deepbots_cli.program.task import Solved
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import beside, rate_beside, rate_text, shell_word

@@ -20,7 +20,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.checkpoints import Array, CheckpointPart, CheckpointState
 from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.multi_agent import MultiAgentLearner, MultiAgentState, check_shared
-from deepbots_cli.learning.runs.records import PoolGames, Rating
+from deepbots_cli.learning.runs.run import PoolGames, Rating
 from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.records import dataclass

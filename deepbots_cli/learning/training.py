@@ -1,5 +1,5 @@
-"""Training: one scenario, one seed, one run directory; and the speed of a training with several numbers of
-shards.
+"""Training: one scenario, one seed, one run directory; the same training once more; and the speed of a
+training with several numbers of shards.
 
 A measurement trains for a few seconds in a temporary folder, and leaves nothing.
 """
@@ -14,6 +14,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -41,16 +42,20 @@ from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.directories import new_directory, run_lock
 from deepbots_cli.learning.runs.episodes import MAX_STEPS, Summary
 from deepbots_cli.learning.runs.origin import Origin
-from deepbots_cli.learning.runs.records import (
+from deepbots_cli.learning.runs.run import (
+    DEMONSTRATIONS_NAME,
     FORMAT,
+    TEACHER_FOLDER,
+    ModelRef,
+    Run,
     RunRecord,
     TaskRecord,
     TrainingOptions,
     TrainingResult,
+    steps_of,
     timestamp,
     versions,
 )
-from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, TEACHER_FOLDER, ModelRef, Run, steps_of
 from deepbots_cli.learning.sb3 import algorithms, logs
 from deepbots_cli.learning.teaching import PolicyTeacher, copy_teacher, demonstrate, read_recording
 from deepbots_cli.learning.training_loop import Iteration, OnIteration, TrainingProcess, create_learner
@@ -59,12 +64,12 @@ from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Schedule, Teacher, Training
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.collector import CollectTimes, LocalCollector
-from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
+from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind, folder_kind
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.training import ALGORITHMS
-from deepbots_cli.words import number_text
+from deepbots_cli.words import number_text, shell_word
 
 
 def train(
@@ -645,3 +650,87 @@ def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
     return CollectTimes(
         after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer
     )
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """The repetition of a training.
+
+    Attributes:
+        original: The run that was repeated.
+        training: The repeated training, in a run of its own.
+        is_same: Whether the weights are the same, bit for bit.
+        differences: What differs between the two trainings: versions, the processor, the scenario.
+    """
+
+    original: Path
+    training: TrainingResult
+    is_same: bool
+    differences: tuple[str, ...]
+
+
+def repeat(
+    run: str | Path,
+    *,
+    new: str | Path | None = None,
+    progress: bool | Reporter = False,
+    permissions: Permissions = Permissions(),
+    executor: Executor = SERIAL,
+    on_start: Callable[[Path], object] = lambda run: None,
+) -> Repetition:
+    """Train a run again from its own scenario, seed and options, and compare the weights.
+
+    Args:
+        new: The directory of the new run; by default as for `train`, beside the old one or its group.
+        permissions: With `code`, terms in Python run.
+
+    Raises:
+        RunError: The folder is not a run, its training is not finished, or a study or a callback ended it.
+        DeepbotsError: As for `train`.
+    """
+    source = Run.open(run)
+    record = source.record
+    if record.result is None or not record.is_finished:
+        raise RunError(
+            f"the training of {source.path} is not finished; finish it with:"
+            f" deepbots resume {shell_word(source.path)}"
+        )
+    taught = next((path for path in (source.demonstrations, source.teacher) if path.exists()), None)
+    initial = source.model("initial")
+    folder = source.path.resolve().parent
+    training = train(
+        replace(source.compiled, permissions=permissions),
+        run=new,
+        runs=folder.parent if folder_kind(folder) is SourceKind.GROUP else folder,
+        seed=record.seed,
+        total_timesteps=record.total_timesteps,
+        stop_when_solved=record.stop_when_solved,
+        stage=record.first_stage,
+        keep_checkpoints=record.keep_checkpoints,
+        initialize_from=initial if initial.exists() else None,
+        demonstrations=taught,
+        callbacks=record.callbacks,
+        loggers=record.loggers,
+        progress=progress,
+        command=("deepbots", "repeat", str(run)),
+        engine=record.engine,
+        executor=executor,
+        on_start=on_start,
+    )
+    is_same = training.weights_digest == record.result.weights_digest
+    differences = tuple(_differences(record, RunRecord.read(training.run)))
+    return Repetition(source.path, training, is_same, differences)
+
+
+def _differences(before: RunRecord, now: RunRecord) -> Iterator[str]:
+    if before.digest != now.digest:
+        yield f"scenario: digest {before.digest[:8]}, now {now.digest[:8]}"
+    if before.physics != now.physics:
+        yield f"physics: version {before.physics}, now {now.physics}"
+    if before.origin is None or now.origin is None:
+        yield f"versions: {dict(before.versions)}, now {dict(now.versions)}"
+    else:
+        yield from before.origin.differences(now.origin)
+    if before.resumed_at:
+        steps = ", ".join(f"{step:,}" for step in before.resumed_at)
+        yield f"the first training was resumed at {steps} steps, perhaps with other options"

@@ -30,17 +30,18 @@ from deepbots_cli.learning.learner import Learner, Setup
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.curriculum import Curriculum
 from deepbots_cli.learning.runs.episodes import Statistics, agent_returns
-from deepbots_cli.learning.runs.records import (
+from deepbots_cli.learning.runs.run import (
     BestModel,
     ChosenBy,
+    ModelRef,
     PoolGames,
     Rating,
+    Run,
     RunRecord,
     Status,
     TrainingResult,
     write_record,
 )
-from deepbots_cli.learning.runs.run import ModelRef, Run
 from deepbots_cli.learning.sb3 import algorithms
 from deepbots_cli.learning.sb3.defaults import longest_episode
 from deepbots_cli.learning.sb3.logs import PluginCallback, TrainingLog

@@ -13,8 +13,7 @@ from deepbots_cli.analysis.conditions import (
     comparisons,
     thresholds,
 )
-from deepbots_cli.analysis.ranges import Ranges, bounds_text, with_unit
-from deepbots_cli.analysis.returns import total_range
+from deepbots_cli.analysis.ranges import Ranges, bounds_text, total_range, with_unit
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions import intervals as iv

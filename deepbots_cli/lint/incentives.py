@@ -17,8 +17,15 @@ from deepbots_cli.analysis.conditions import (
     only_comparison,
     thresholds,
 )
-from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges, with_unit
-from deepbots_cli.analysis.returns import RewardTerms, Terms, break_even, total_range
+from deepbots_cli.analysis.ranges import (
+    RangeAnalysis,
+    Ranges,
+    RewardTerms,
+    Terms,
+    break_even,
+    total_range,
+    with_unit,
+)
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH

@@ -10,8 +10,7 @@ from typing import Literal, NamedTuple
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
-from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import return_range
+from deepbots_cli.analysis.ranges import Ranges, return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
 from deepbots_cli.expressions.dimensions import NUMBER

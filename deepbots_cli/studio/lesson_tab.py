@@ -8,9 +8,8 @@ from functools import partial
 
 from nicegui import run, ui
 
-from deepbots_cli.course.grading import Marks
+from deepbots_cli.course.grading import Marks, started_in
 from deepbots_cli.course.lessons import Lesson
-from deepbots_cli.course.progress import started_in
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.studio.layout import ICONS, text_with_code
 from deepbots_cli.studio.session import Session

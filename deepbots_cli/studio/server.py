@@ -25,7 +25,7 @@ from nicegui import ui
 from starlette.datastructures import Headers
 
 from deepbots_cli.cli.written_files import refuse_links_within
-from deepbots_cli.course.progress import started_in
+from deepbots_cli.course.grading import started_in
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most

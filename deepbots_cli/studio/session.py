@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal, get_args
 
-from deepbots_cli.course.progress import PROGRESS_NAME
+from deepbots_cli.course.grading import PROGRESS_NAME
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps

@@ -16,8 +16,7 @@ import numpy as np
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
 from deepbots_cli.learning.report import duration
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import folder_kind

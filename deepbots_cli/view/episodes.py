@@ -23,8 +23,7 @@ from deepbots_cli.errors import EngineError, MissingExtraError, RunError, Scenar
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.files import Stamps, file_stamps, recorded_reads
 from deepbots_cli.learning.runs.episodes import read_log_tail
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, RunRecord
 from deepbots_cli.port import View
 from deepbots_cli.program import RANDOM, ZERO, Program, identity
 from deepbots_cli.records import dataclass

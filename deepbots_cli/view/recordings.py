@@ -36,7 +36,7 @@ import deepbots_cli
 from deepbots_cli.errors import MissingExtraError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame, Triple
-from deepbots_cli.learning.runs.records import versions as installed_versions
+from deepbots_cli.learning.runs.run import versions as installed_versions
 from deepbots_cli.rollout.drivers import HAND
 from deepbots_cli.rollout.recordings import FORMAT, Payloads
 from deepbots_cli.view.episodes import Player

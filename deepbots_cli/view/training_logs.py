@@ -21,8 +21,13 @@ from deepbots_cli.errors import MissingExtraError, RunError
 from deepbots_cli.learning.runs.directories import run_folders
 from deepbots_cli.learning.runs.episodes import AGENTS_COLUMN, KeptNames, read_evaluations, read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
-from deepbots_cli.learning.runs.run import DEMONSTRATIONS_NAME, Run
+from deepbots_cli.learning.runs.run import (
+    DEMONSTRATIONS_NAME,
+    Run,
+    RunRecord,
+    changed_settings,
+    short_settings,
+)
 from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evaluation
 from deepbots_cli.program import Member
 from deepbots_cli.records import dataclass

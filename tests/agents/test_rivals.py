@@ -24,15 +24,14 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import RunError, ScenarioError, UsageError
-from deepbots_cli.insight.diagnosis import causes_after, diagnose
+from deepbots_cli.insight.causes import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
 from deepbots_cli.learning import self_play
 from deepbots_cli.learning.checkpoints import latest_checkpoint
 from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.matches import play_matches
 from deepbots_cli.learning.policy import load_model
-from deepbots_cli.learning.runs.records import PoolGames
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import PoolGames, Run
 from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollector
 from deepbots_cli.rollout.collector import Decision, LocalCollector
 from deepbots_cli.rollout.worlds import SingleWorlds

@@ -17,7 +17,7 @@ import pytest
 
 from deepbots_cli import api
 from deepbots_cli.document import shipped
-from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import RunRecord
 from tests.named import with_defaults
 
 CARTPOLE = with_defaults(

@@ -35,11 +35,10 @@ from deepbots_cli.cli.commands import COMMANDS
 from deepbots_cli.cli.commands.train import training_page
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import RunError
-from deepbots_cli.insight.diagnosis import causes_after
+from deepbots_cli.insight.causes import causes_after
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.origin import Commit
-from deepbots_cli.learning.runs.records import RunRecord, write_record
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord, write_record
 from deepbots_cli.learning.runs.verdict import run_verdict
 from tests.commands import Deepbots, Ran
 from tests.few import few

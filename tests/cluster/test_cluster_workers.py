@@ -43,8 +43,7 @@ from deepbots_cli.learning import evaluate, evaluate_group, resume, resume_group
 from deepbots_cli.learning.campaigns.group import GroupTraining
 from deepbots_cli.learning.executor import SERIAL, Executor, Watcher, results
 from deepbots_cli.learning.report import GroupProgressReporter, Reporter, TrainingProgress
-from deepbots_cli.learning.runs.records import TrainingResult
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, TrainingResult
 from tests.cluster.calls import Echo, imported, lose, priority, square
 from tests.cluster.nodes import cluster_of_nodes
 from tests.commands import Deepbots

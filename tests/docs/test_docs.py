@@ -57,7 +57,7 @@ from deepbots_cli.document.nodes import with_entry as replaced
 from deepbots_cli.expressions.dimensions import NUMBER
 from deepbots_cli.expressions.functions import FUNCTIONS, Family
 from deepbots_cli.expressions.types import Symbol
-from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import RunRecord
 from deepbots_cli.lint import static_findings as run_rules
 from deepbots_cli.scenario import Scenario
 from deepbots_cli.scenario.base import Section, section_fields, shape_at, walk_sections

@@ -29,8 +29,7 @@ from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import Failure
 from deepbots_cli.learning.runs.directories import read_json
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.sb3.models import StableState
 from deepbots_cli.program.task import Solved, Training
 from tests.fuzz.harness import in_fork, rise_of_memory

@@ -9,7 +9,7 @@ import yaml
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.diagnosis import diagnose
+from deepbots_cli.insight.causes import diagnose
 from deepbots_cli.insight.training import read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.run import Run

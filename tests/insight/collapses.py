@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError
-from deepbots_cli.insight.diagnosis import diagnose
+from deepbots_cli.insight.causes import diagnose
 from deepbots_cli.insight.training import read_training
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.episodes import read_evaluations

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from deepbots_cli import api
-from deepbots_cli.insight.diagnosis import diagnose
+from deepbots_cli.insight.causes import diagnose
 from deepbots_cli.insight.statements import Statement
 from deepbots_cli.insight.training import TrainingEvidence, read_training
 from deepbots_cli.learning import train

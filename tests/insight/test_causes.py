@@ -23,8 +23,7 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
-from deepbots_cli.insight.causes import CAUSES
-from deepbots_cli.insight.diagnosis import causes_after, diagnose
+from deepbots_cli.insight.causes import CAUSES, causes_after, diagnose
 from deepbots_cli.insight.learner import suspects
 from deepbots_cli.insight.stages import PRESENT_STAGE
 from deepbots_cli.insight.statements import statements_about

@@ -22,8 +22,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.errors import EvaluationError, RunError
 from deepbots_cli.expressions.dimensions import UNITS
-from deepbots_cli.insight.causes import CAUSES
-from deepbots_cli.insight.diagnosis import diagnose
+from deepbots_cli.insight.causes import CAUSES, diagnose
 from deepbots_cli.insight.episode import ROWS, explain, explanation_json
 from deepbots_cli.insight.report import Report
 from deepbots_cli.insight.scenario_facts import ScenarioFacts, linted_scenario, training_command
@@ -35,8 +34,7 @@ from deepbots_cli.learning import train
 from deepbots_cli.learning.campaigns.group import GroupRecord
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import write_record
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, write_record
 from deepbots_cli.learning.runs.verdict import quoted_episodes
 from deepbots_cli.rollout import Episode
 from tests.few import few

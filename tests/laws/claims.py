@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 
 from deepbots_cli import api
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.ranges import Ranges
-from deepbots_cli.analysis.returns import return_range
+from deepbots_cli.analysis.ranges import Ranges, return_range
 from deepbots_cli.diagnostics import Finding, edited
 from deepbots_cli.errors import EndsAtResetError, EvaluationError
 from deepbots_cli.expressions.functions import FUNCTIONS

@@ -48,8 +48,7 @@ from deepbots_cli.learning.executor import Interruption
 from deepbots_cli.learning.report import Reporter
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.order import Candidate, Shortlist
-from deepbots_cli.learning.runs.records import PATIENCE, RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
+from deepbots_cli.learning.runs.run import PATIENCE, ModelRef, Run, RunRecord, steps_of
 from deepbots_cli.learning.runs.statistics import (
     COST_SHARE,
     FALSE_STOPS,

@@ -48,8 +48,7 @@ from deepbots_cli.learning.robustness import (
 )
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run, steps_of
+from deepbots_cli.learning.runs.run import ModelRef, Run, RunRecord, steps_of
 from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved, Training

@@ -47,8 +47,7 @@ from deepbots_cli.learning.executor import SERIAL, Attempt
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import SolvedAt
-from deepbots_cli.learning.runs.records import short_settings
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run, short_settings
 from deepbots_cli.learning.runs.statistics import (
     compare_episodes,
     compare_seeds,

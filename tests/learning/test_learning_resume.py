@@ -56,8 +56,7 @@ from deepbots_cli.learning.campaigns.listing import read_listed
 from deepbots_cli.learning.environments import WorldFactory
 from deepbots_cli.learning.executor import SERIAL, Executor
 from deepbots_cli.learning.policy import load_model
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.learning.teaching import Teaching

@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip("nicegui")
 
+from deepbots_cli.course.grading import start
 from deepbots_cli.course.lessons import lesson_named
-from deepbots_cli.course.progress import start
 from tests.studio.served import BACKSPACE, ENTER, StudioTab, served
 from tests.view.browser import CHROMIUM, browser
 

@@ -34,7 +34,7 @@ from deepbots_cli.learning.campaigns.study import (
 )
 from deepbots_cli.learning.campaigns.trials import end_trial, next_trial, run_study, score
 from deepbots_cli.learning.runs.directories import run_lock
-from deepbots_cli.learning.runs.records import RunRecord
+from deepbots_cli.learning.runs.run import RunRecord
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
 

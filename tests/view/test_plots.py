@@ -28,7 +28,7 @@ from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.curriculum import CompletedStage
 from deepbots_cli.learning.runs.episodes import read_log
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import FORMAT, RunRecord, RunResult, TaskRecord, write_record
+from deepbots_cli.learning.runs.run import FORMAT, RunRecord, RunResult, TaskRecord, write_record
 from deepbots_cli.learning.runs.statistics import Statistic
 from deepbots_cli.port import View
 from deepbots_cli.robots.kinematics import robot_bounds

@@ -30,8 +30,7 @@ from deepbots_cli import api
 from deepbots_cli.expressions.scalar import Scalar
 from deepbots_cli.learning.runs.directories import write_text
 from deepbots_cli.learning.runs.episodes import read_log
-from deepbots_cli.learning.runs.records import versions
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, versions
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Evaluation as EvaluationSettings
 from tools.results.experiment import Baseline, Crossed, Evaluation, Experiment, Training

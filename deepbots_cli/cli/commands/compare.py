@@ -37,8 +37,7 @@ from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_output
 from deepbots_cli.learning.campaigns.listing import ListedRun, evaluations, list_runs, read_listed, sort_runs
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import RunRecord, changed_settings, short_settings
-from deepbots_cli.learning.runs.run import ModelName, ModelRef
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, RunRecord, changed_settings, short_settings
 from deepbots_cli.rollout.source import SourceKind, folder_kind
 from deepbots_cli.words import counted, number_text, rate_text, shell_word
 

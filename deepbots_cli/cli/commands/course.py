@@ -33,9 +33,8 @@ from deepbots_cli.processes import available_cores
 from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
-    from deepbots_cli.course.grading import Marks
+    from deepbots_cli.course.grading import Marks, Started
     from deepbots_cli.course.lessons import Lesson
-    from deepbots_cli.course.progress import Started
 
 
 class Action(StrEnum):
@@ -102,8 +101,8 @@ def command(
 
 
 def _list(folder: Path, *, as_json: bool) -> None:
+    from deepbots_cli.course.grading import started_in
     from deepbots_cli.course.lessons import shipped_lessons
-    from deepbots_cli.course.progress import started_in
 
     folders = (folder, *sorted(path for path in folder.glob("*/") if path.is_dir()))
     started = {one.reference: one for place in folders if (one := started_in(place)) is not None}
@@ -133,8 +132,8 @@ def _is_full(row: Row) -> bool:
 
 
 def _start(name: str, folder: Path | None, solution: str | None, *, as_json: bool) -> None:
+    from deepbots_cli.course.grading import start
     from deepbots_cli.course.lessons import lesson_named
-    from deepbots_cli.course.progress import start
 
     lesson = lesson_named(name)
     folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
@@ -154,7 +153,7 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
 
 def _opened(folder: Path) -> Started:
     """Return the lesson that was started in a folder."""
-    from deepbots_cli.course.progress import PROGRESS_NAME, started_in
+    from deepbots_cli.course.grading import PROGRESS_NAME, started_in
 
     started = started_in(folder)
     if started is None:

@@ -53,8 +53,7 @@ from deepbots_cli.learning import EvaluationResult, TrainingResult, report
 from deepbots_cli.learning.campaigns.group import Group, GroupTraining
 from deepbots_cli.learning.campaigns.study import Objective, Study, create_study
 from deepbots_cli.learning.runs.directories import run_lock
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.runs.verdict import decline_of, run_verdict
 from deepbots_cli.processes import Process
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind
@@ -542,7 +541,7 @@ def _causes(run: Path, *, quiet: bool, permissions: Permissions) -> list[Stateme
     """Return why a training did not solve its task or fell apart, the most likely cause first;
     changes since an earlier run come last."""
     with terminal.transient_line("" if quiet else "looking for the cause ..."):
-        from deepbots_cli.insight.diagnosis import causes_after
+        from deepbots_cli.insight.causes import causes_after
 
         try:
             return sorted(causes_after(run, permissions), key=_is_change)
@@ -564,7 +563,7 @@ def _cause_lines(causes: Sequence[Statement], of: str = "") -> list[str]:
 
 def _is_change(cause: Statement) -> bool:
     """Return whether this is the fact of what was changed since a solved run, and no cause."""
-    from deepbots_cli.insight.diagnosis import CHANGED
+    from deepbots_cli.insight.causes import CHANGED
 
     return cause.cause == CHANGED
 

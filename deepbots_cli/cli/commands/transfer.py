@@ -685,7 +685,7 @@ def _print_causes(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> None:
     """Print the causes in a training, the most likely one first, and the `stage` of its curriculum."""
-    from deepbots_cli.insight.diagnosis import verdict
+    from deepbots_cli.insight.causes import verdict
 
     subject = f"{folder}, {training.agent}" if training.agent else f"{folder}"
     terminal.print_verdict(f"{subject}: {verdict(training, causes)}")
@@ -704,7 +704,7 @@ def _report(
     folder: Path, training: TrainingEvidence, stage: Statement | None, causes: Sequence[Statement]
 ) -> dict[str, Any]:
     """Return the verdict and the causes in a training as JSON."""
-    from deepbots_cli.insight.diagnosis import verdict
+    from deepbots_cli.insight.causes import verdict
 
     return {
         "run": folder,
@@ -730,7 +730,7 @@ def _diagnose(
             f"{run} is a group without a run yet; train it with: deepbots resume {shell_word(run)}"
         )
     with terminal.transient_line("reading the logs ..."):
-        from deepbots_cli.insight.diagnosis import diagnose as find_causes
+        from deepbots_cli.insight.causes import diagnose as find_causes
         from deepbots_cli.insight.stages import PRESENT_STAGE
         from deepbots_cli.insight.statements import statements_about
         from deepbots_cli.insight.training import read_trainings, run_probes

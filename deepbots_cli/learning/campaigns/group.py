@@ -66,16 +66,16 @@ from deepbots_cli.learning.runs.directories import (
     validation_text,
     write_text,
 )
-from deepbots_cli.learning.runs.records import (
+from deepbots_cli.learning.runs.run import (
     RunRecord,
     State,
     Status,
     TrainingOptions,
     TrainingResult,
+    remove_incomplete,
     state_of,
     timestamp,
 )
-from deepbots_cli.learning.runs.run import remove_incomplete
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import GROUP_RECORD_NAME, Source, SourceKind, folder_kind
 

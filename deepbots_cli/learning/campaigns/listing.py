@@ -19,7 +19,7 @@ from deepbots_cli.learning.campaigns.study import Study
 from deepbots_cli.learning.runs.directories import SKIPPED, numbered_files, read_json
 from deepbots_cli.learning.runs.episodes import read_log_tail
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
-from deepbots_cli.learning.runs.records import (
+from deepbots_cli.learning.runs.run import (
     MAX_STATE_BYTES,
     ChosenBy,
     RunRecord,

@@ -40,7 +40,7 @@ from deepbots_cli.learning.report import TrainingProgress
 from deepbots_cli.learning.runs.directories import new_directory
 from deepbots_cli.learning.runs.episodes import MAX_STEPS
 from deepbots_cli.learning.runs.order import Measure, Rank, rank
-from deepbots_cli.learning.runs.records import versions
+from deepbots_cli.learning.runs.run import versions
 from deepbots_cli.learning.runs.statistics import (
     ALPHA,
     UNBOUNDED,

@@ -38,8 +38,7 @@ from deepbots_cli.learning.executor import (
 from deepbots_cli.learning.report import Reporter, TrainingProgress
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER, has_ended, is_training, run_lock
 from deepbots_cli.learning.runs.episodes import read_evaluations
-from deepbots_cli.learning.runs.records import RunRecord
-from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.runs.verdict import quoted_evaluation
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Solved

@@ -1,7 +1,6 @@
 """Runs: the directory of a training, and what follows from its files, without torch and without a world.
 
-run.py          the run directory, written atomically and checked when read; models of runs
-records.py      the content of `run.json`
+run.py          the run directory, written atomically and checked when read: `run.json`, models of runs
 evaluations.py  an evaluation: its scores, circumstances and episodes; the effect of drawn values
 directories.py  directories of runs, groups and studies: names, locks, files written whole, records read
 episodes.py     results of episodes: log, statistics, solved, summaries with intervals

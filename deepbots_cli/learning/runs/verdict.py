@@ -24,8 +24,7 @@ from deepbots_cli.learning.runs.directories import numbered_files
 from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.order import Measure
-from deepbots_cli.learning.runs.records import QuotedEvaluation, RunRecord
-from deepbots_cli.learning.runs.run import ModelRef, Run, has_model
+from deepbots_cli.learning.runs.run import ModelRef, QuotedEvaluation, Run, RunRecord, has_model
 from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
 from deepbots_cli.program.task import Solved
 from deepbots_cli.records import dataclass
