@@ -213,7 +213,6 @@ class ShardWorker:
 
         self._settings.enter_context(torch_settings())
         self._path = run
-        self._number = number
         self._shards: dict[int, Any] = {}
 
     def unmet(self, requirements: Requirements, digest: str) -> str | None:
@@ -257,7 +256,7 @@ class ShardWorker:
             return error
         if order is None:
             return answer
-        return replace(answer, cpu_seconds=time.process_time() - began, worker=self._number)
+        return replace(answer, cpu_seconds=time.process_time() - began)
 
 
 class RemoteShards:

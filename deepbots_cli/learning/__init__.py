@@ -1,6 +1,6 @@
 """Learning: from a compiled scenario to a trained, evaluated policy in a directory of its own.
 
-training.py              train, resume and repeat: joins all of the below; the speed with several shards
+training.py              train, resume and repeat: joins all of the below
 training_loop.py         a training from its last checkpoint to its end
 learner.py               the interface of an algorithm, and a base for algorithms of other packages
 callbacks.py             the callback of a training: evaluations, confirmations, the best model, when to stop

@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import replace
 from itertools import accumulate, pairwise
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -246,8 +245,6 @@ class Shard:
     def collect(self, order: Order, memory: Mapping[str, Array]) -> ShardResult:
         """Collect experience for an order; `memory` is the memory of the policy for the rows of this
         shard."""
-        began = perf_counter()
-        worlds_before = self._collector.times.worlds
         actor = self._begun().actor()
         self._stage = order.stage
         self._next_episode = order.next_episode
@@ -270,10 +267,7 @@ class Shard:
             world: (worlds.start_of(world), self._stages[world])
             for world in np.flatnonzero(has_begun[::rows]).tolist()
         }
-        seconds = perf_counter() - began, self._collector.times.worlds - worlds_before
-        return ShardResult(
-            fragment, actor.memory(), list(self._ended), begun, seconds, notes=list(self._notes)
-        )
+        return ShardResult(fragment, actor.memory(), list(self._ended), begun, notes=list(self._notes))
 
     def evaluate(self, order: EvaluationOrder) -> Evaluated:
         """Play the episodes of this shard: one of `shards`, in turn."""

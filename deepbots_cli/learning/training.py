@@ -1,8 +1,4 @@
-"""Training: one scenario, one seed, one run directory; the same training once more; and the speed of a
-training with several numbers of shards.
-
-A measurement trains for a few seconds in a temporary folder, and leaves nothing.
-"""
+"""Training: one scenario, one seed, one run directory; and the same training once more."""
 
 from __future__ import annotations
 
@@ -10,21 +6,19 @@ import hashlib
 import platform
 import re
 import shutil
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Unpack
 
 import deepbots_cli
 from deepbots_cli import api, engine_kinds
 from deepbots_cli.api import Compiled
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import MissingExtraError, RunError, ScenarioError, UsageError
+from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.learning import learner as learners
 from deepbots_cli.learning.callbacks import OnEvaluation
 from deepbots_cli.learning.checkpoints import Checkpoints, latest_checkpoint
@@ -58,12 +52,12 @@ from deepbots_cli.learning.runs.run import (
 )
 from deepbots_cli.learning.sb3 import algorithms, logs
 from deepbots_cli.learning.teaching import PolicyTeacher, copy_teacher, demonstrate, read_recording
-from deepbots_cli.learning.training_loop import Iteration, OnIteration, TrainingProcess, create_learner
+from deepbots_cli.learning.training_loop import TrainingProcess, create_learner
 from deepbots_cli.plugins import packages_used
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import Schedule, Teacher, Training
 from deepbots_cli.records import dataclass
-from deepbots_cli.rollout.collector import CollectTimes, LocalCollector
+from deepbots_cli.rollout.collector import LocalCollector
 from deepbots_cli.rollout.source import RECORDING_SUFFIX, Source, SourceKind, folder_kind
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
@@ -93,7 +87,6 @@ def train(
     executor: Executor = SERIAL,
     on_start: Callable[[Path], object] = lambda run: None,
     on_evaluation: OnEvaluation | None = None,
-    on_iteration: OnIteration | None = None,
 ) -> TrainingResult:
     """Train the policy of a scenario in a new run directory.
 
@@ -130,7 +123,6 @@ def train(
         on_start: Called with the run directory once it exists.
         on_evaluation: Called with the run directory after each evaluation during the training. It returns
             None to go on, or the name of who stops the training, which becomes `stopped_by` of the result.
-        on_iteration: Called after each fragment and its update with their times. It returns the same.
 
     Raises:
         UsageError: The directory exists, a stage, callback or logger does not exist, or the settings are
@@ -196,7 +188,6 @@ def train(
             reporter(progress),
             executor,
             on_evaluation=on_evaluation,
-            on_iteration=on_iteration,
         ).train()
 
 
@@ -503,153 +494,6 @@ def _check_teacher(
     )
     problem += f" (mean return {number_text(Summary.of_episodes(played).mean_return, 3)}, ended by {ends})"
     raise UsageError(f"{problem}; look at what it does: deepbots view SCENARIO --driver {teacher.script}")
-
-
-MEASURED_SECONDS = 4.0
-"""The time of a measurement in s, after the first iteration, in which workers start."""
-_MIN_ITERATIONS = 3
-_LEARNING_STARTS = 200
-"""The number of steps before the first update of an off-policy algorithm, if it permits so few."""
-
-
-@dataclass(frozen=True)
-class ShardTiming:
-    """The speed of a training with a number of shards. Times are in us by the clock, per step of one world.
-
-    Attributes:
-        shards: The number of shards.
-        workers: Number of processes that have these shards; 0 for the process of the training.
-        steps_per_second: Steps of all worlds per second, with the updates and without evaluations.
-        speedup: `steps_per_second` divided by that of the first measurement.
-        efficiency: `speedup` per process.
-        start_s: Time from the start of the training to the end of its first iteration.
-        worlds_us: Steps of the worlds, divided by the number of processes.
-        policy_us: The rest of collecting: actions of the policy, and counting steps and episodes.
-        transfer_us: Orders to the shards, and their answers.
-        waiting_us: The time by which the slowest process is slower than the mean.
-        update_us: Learning.
-    """
-
-    shards: int
-    workers: int
-    steps_per_second: float
-    speedup: float
-    efficiency: float
-    start_s: float
-    worlds_us: float
-    policy_us: float
-    transfer_us: float
-    waiting_us: float
-    update_us: float
-
-
-def measure_shards(
-    scenario: str,
-    shards: Sequence[int],
-    workers: Executor,
-    *,
-    overrides: Sequence[str] = (),
-    permissions: Permissions = Permissions(),
-    seed: int = 0,
-    folder: Path | None = None,
-    seconds: float = MEASURED_SECONDS,
-    on_measured: Callable[[int, int], object] | None = None,
-) -> list[ShardTiming]:
-    """Train for some seconds with each number of shards; a single shard belongs to this process.
-
-    Args:
-        scenario: The path of a file, or the name of a shipped scenario.
-        shards: The numbers of shards.
-        workers: Where several shards run.
-        folder: Where a temporary folder is made; workers on other machines must see it.
-        on_measured: Called with the number of measurements that are done and that of all.
-    """
-    timings: list[ShardTiming] = []
-    show = on_measured or (lambda finished, total: None)
-    for number, count in enumerate(shards):
-        show(number, len(shards))
-        executor = workers if count > 1 else SERIAL
-        with TemporaryDirectory(prefix="deepbots-", dir=folder) as path:
-            times = _Times(seconds)
-            train(
-                _with_shards(scenario, count, overrides, permissions),
-                run=Path(path) / "run",
-                seed=seed,
-                total_timesteps=MAX_STEPS,
-                stop_when_solved=False,
-                executor=executor,
-                on_iteration=times.note,
-            )
-        processes = 0 if executor.is_here else min(count, executor.workers)
-        timings.append(times.timing(count, processes, timings[0].steps_per_second if timings else None))
-    show(len(shards), len(shards))
-    return timings
-
-
-def _with_shards(scenario: str, shards: int, overrides: Sequence[str], permissions: Permissions) -> Compiled:
-    changed = [*overrides, f"train.shards={shards}"]
-    try:
-        return api.compile(
-            scenario,
-            overrides=[*changed, f"train.learning_starts={_LEARNING_STARTS}"],
-            permissions=permissions,
-        )
-    except ScenarioError:  # an on-policy algorithm, or one that needs a longer start
-        return api.compile(scenario, overrides=changed, permissions=permissions)
-
-
-class _Times:
-    """Adds up the times of iterations after the first one."""
-
-    def __init__(self, seconds: float) -> None:
-        self._limit = seconds
-        self._began = time.perf_counter()
-        self._first: tuple[Iteration, float] | None = None
-        self._last: Iteration | None = None
-        self._collect = self._update = 0.0
-        self._count = 0
-
-    def note(self, iteration: Iteration) -> str | None:
-        now = time.perf_counter()
-        if self._first is None:
-            self._first = iteration, now
-            return None
-        self._last = iteration
-        self._collect += iteration.collect - iteration.evaluations
-        self._update += iteration.update
-        self._count += 1
-        return (
-            "the measurement"
-            if self._count >= _MIN_ITERATIONS and now - self._first[1] >= self._limit
-            else None
-        )
-
-    def timing(self, shards: int, workers: int, first: float | None) -> ShardTiming:
-        if self._first is None or self._last is None:
-            raise RuntimeError("the training ended before the measurement")
-        steps = self._last.steps - self._first[0].steps
-        spent = _difference(self._last.collecting, self._first[0].collecting)
-        rate = steps / (self._collect + self._update)
-        scale = 1e6 / steps
-        return ShardTiming(
-            shards=shards,
-            workers=workers,
-            steps_per_second=rate,
-            speedup=rate / (first or rate),
-            efficiency=rate / (first or rate) / max(1, workers),
-            start_s=self._first[1] - self._began,
-            worlds_us=spent.worlds * scale,
-            policy_us=max(0.0, self._collect - spent.worlds - spent.waiting - spent.transfer) * scale,
-            transfer_us=spent.transfer * scale,
-            waiting_us=spent.waiting * scale,
-            update_us=self._update * scale,
-        )
-
-
-def _difference(after: CollectTimes, before: CollectTimes) -> CollectTimes:
-    return CollectTimes(
-        after.worlds - before.worlds, after.waiting - before.waiting, after.transfer - before.transfer
-    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import replace
 from functools import partial
@@ -49,34 +49,11 @@ from deepbots_cli.learning.teaching import Demonstrations, PolicyTeacher, Teachi
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Teacher, Training
 from deepbots_cli.records import dataclass
-from deepbots_cli.rollout.collector import Collector, CollectTimes, LocalCollector, ShardedCollector
+from deepbots_cli.rollout.collector import Collector, LocalCollector, ShardedCollector
 from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.scenario.training import ALGORITHMS
 from deepbots_cli.words import shell_word
-
-
-@dataclass(frozen=True)
-class Iteration:
-    """A fragment of experience and the update after it; times in seconds by the clock.
-
-    Attributes:
-        steps: Steps of the training so far, summed over all rows.
-        collect: Time of the fragment, with the evaluations in it.
-        update: Time of the update.
-        evaluations: Time of the evaluations in the fragment.
-        collecting: Where the time of all fragments so far went.
-    """
-
-    steps: int
-    collect: float
-    update: float
-    evaluations: float
-    collecting: CollectTimes
-
-
-OnIteration = Callable[[Iteration], str | None]
-"""Called after each iteration; returns the name of the caller that stops the training, else None."""
 
 
 @dataclass
@@ -94,7 +71,6 @@ class TrainingProcess:
     executor: Executor
     before: RunRecord | None = None
     on_evaluation: OnEvaluation | None = None
-    on_iteration: OnIteration | None = None
 
     def __post_init__(self) -> None:
         self._began = time.perf_counter()
@@ -131,7 +107,6 @@ class TrainingProcess:
         self._weights_digest = ""
         self._ratings: tuple[Rating, ...] = ()
         self._pool_games: tuple[PoolGames, ...] = ()
-        self._evaluation_seconds = 0.0
 
     def _restore_counts(self) -> None:
         state = self.checkpoints.state
@@ -286,22 +261,9 @@ class TrainingProcess:
         while not self._is_complete and callback.stopped_by is None and self.checkpoints.before_rollout():
             if callback.teaching is not None:
                 learner.be_taught(callback.plan_lesson())
-            began = time.perf_counter()
             if not learner.collect():
                 break
-            collected = time.perf_counter()
             learner.update()
-            if self.on_iteration is not None:
-                updated = time.perf_counter()
-                before, self._evaluation_seconds = self._evaluation_seconds, callback.evaluation_seconds
-                iteration = Iteration(
-                    self._statistics.steps,
-                    collected - began,
-                    updated - collected,
-                    self._evaluation_seconds - before,
-                    replace(collector.times),
-                )
-                callback.stopped_by = self.on_iteration(iteration) or callback.stopped_by
         learner.end()
 
     @property

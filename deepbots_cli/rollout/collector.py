@@ -20,7 +20,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field
 from operator import itemgetter
-from time import perf_counter
 from typing import Any, NamedTuple, Protocol, cast
 
 import gymnasium as gym
@@ -141,26 +140,10 @@ class ShardState(NamedTuple):
     observed: str
 
 
-@dataclass
-class CollectTimes:
-    """The time of the parts of a collector, in seconds by the clock, added up over its fragments.
-
-    Attributes:
-        worlds: Steps of the worlds; with shards in several processes, the mean of these processes.
-        waiting: The time that the slowest process took longer than the mean.
-        transfer: The time of orders and answers beside the work of the slowest process.
-    """
-
-    worlds: float = 0.0
-    waiting: float = 0.0
-    transfer: float = 0.0
-
-
 class Collector(Protocol):
     """Collects the experience of a learner."""
 
     rows: int
-    times: CollectTimes
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
     stale: Mapping[str, Array]
@@ -195,7 +178,6 @@ class LocalCollector:
         self.rows = worlds.rows
         self.observation_space = worlds.observation_space
         self.action_space = worlds.action_space
-        self.times = CollectTimes()
         self.stale: Mapping[str, Array] = {}
         self.starts = np.ones(self.rows, bool)
         """Whether an episode begins with the observations on which the agents act next."""
@@ -286,9 +268,7 @@ class LocalCollector:
 
     def step_all(self, actions: Any) -> WorldsStep:
         """Make one step, for a learner that steps by itself."""
-        began = perf_counter()
         outcome = self.worlds.step_all(actions)
-        self.times.worlds += perf_counter() - began
         self.starts = outcome.ended
         return outcome
 
@@ -395,12 +375,10 @@ class Answer:
     Attributes:
         notes: Notes for the user, such as lost episodes.
         cpu_seconds: CPU time, if the shard runs in another process.
-        worker: The number of this process.
     """
 
     notes: Sequence[str] = ()
     cpu_seconds: float = 0.0
-    worker: int = 0
 
 
 @dataclass(frozen=True)
@@ -420,14 +398,12 @@ class ShardResult(Answer):
         ended: For each ending of the fragment, the stage of the episode, and its drawn values.
         begun: For each world that has begun another episode, by its number in the shard, the start of this
             episode, and its stage.
-        seconds: Time by the clock that the fragment took, and the part of it in the worlds.
     """
 
     fragment: Fragment
     memory: Mapping[str, Array]
     ended: Sequence[tuple[int, Mapping[str, Any]]]
     begun: Mapping[int, tuple[int | dict[str, Any], int]]
-    seconds: tuple[float, float]
 
 
 class RunningEpisode(NamedTuple):
@@ -479,7 +455,6 @@ class FetchingCollector(ABC):
     `step_all` then counts its steps one by one."""
 
     rows: int
-    times: CollectTimes
     observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
     stale: Mapping[str, Array]
@@ -563,7 +538,6 @@ class ShardedCollector(FetchingCollector):
         self.rows = self._width * len(seeds)
         self.observation_space, self.action_space = agents[0].observation_space, agents[0].action_space
         self.starts = np.ones(self.rows, bool)
-        self.times = CollectTimes()
         self.stale: Mapping[str, Array] = {}
         self._requested: Callable[[], list[ShardResult]] | None = None
         self._observations: Any = None
@@ -593,12 +567,10 @@ class ShardedCollector(FetchingCollector):
     def fetch(
         self, actor: PolicyActor, steps: int, *, with_masks: bool = False, lesson: Lesson | None = None
     ) -> Fragment:
-        began = perf_counter()
         answer = self._requested or self._ask(actor, steps, with_masks, lesson)
         results = answer()
         self._requested = None
         self.stale = {}
-        self._note_times(results, perf_counter() - began)
         actor.remember(
             {name: np.concatenate([result.memory[name] for result in results]) for name in results[0].memory}
         )
@@ -633,16 +605,6 @@ class ShardedCollector(FetchingCollector):
             {**actor.parameters(), **self.stale}, steps, begun, next_episode, stage, with_masks, lesson
         )
         return self._pool.work(order, self._by_shard(self.episodes), memories)
-
-    def _note_times(self, results: Sequence[ShardResult], seconds: float) -> None:
-        busy: dict[int, float] = {}
-        for result in results:
-            busy[result.worker] = busy.get(result.worker, 0.0) + result.seconds[0]
-        longest = max(busy.values())
-        self.times.worlds += sum(result.seconds[1] for result in results) / len(busy)
-        self.times.waiting += longest - sum(busy.values()) / len(busy)
-        # A fragment that was requested ahead was begun before this wait, and may have taken longer.
-        self.times.transfer += max(0.0, seconds - longest)
 
     def evaluate(self, actor: PolicyActor, seeds: Sequence[int], stage: str | None) -> list[Episode]:
         """Play an episode of the policy from each seed, in the order of the seeds."""

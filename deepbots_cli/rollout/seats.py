@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from deepbots_cli.rollout.collector import (
-    CollectTimes,
     Decision,
     FetchingCollector,
     Fragment,
@@ -68,7 +67,6 @@ class SeatCollector(FetchingCollector):
         self._collector = collector
         self._worlds = worlds
         self.rows = len(seats) * collector.rows if worlds is None else sum(map(len, worlds))
-        self.times = CollectTimes()
         self.stale = {}
         self.agents = (_NoWorld(),)
         self.observation_space, self.action_space = seats[0].observation_space, seats[0].action_space

@@ -337,12 +337,6 @@ def test_commands_print_the_same_with_workers(
             ["test", "cartpole", "--workers", "-3"],
             "--workers -3 starts no process; write --workers 1 or more",
         ),
-        (["bench", "cartpole", "--workers", "2"], "--workers needs --shards"),
-        (["bench", "cartpole", "--shards", "1,2", "--quick"], "--shards and --quick cannot be combined"),
-        (
-            ["bench", "cartpole", "--shards", "1,x"],
-            "--shards 1,x is not a list of whole numbers from 1, such as 1,2,4",
-        ),
         (
             ["test", "cartpole", "find_ball", "--workers", "2", "--cluster", "auto"],
             "--workers and --cluster cannot be combined",

@@ -784,43 +784,6 @@ def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: P
     assert result.steps < 600
 
 
-def test_the_last_evaluation_keeps_who_stopped_the_training_before(tmp_path: Path) -> None:
-    build = Worlds(poor)
-    result = learned(
-        tmp_path,
-        build,
-        total=1_000,
-        on_iteration=lambda iteration: "somebody" if iteration.steps >= 300 else None,
-        on_evaluation=lambda run: None,
-    )
-    assert result.stopped_by == "somebody"
-    assert build.evaluations
-    assert result.steps < 600
-
-
-# How evaluations go
-@pytest.mark.slow
-def test_evaluations_take_at_most_their_share_of_the_steps(tmp_path: Path) -> None:
-    result = learned(tmp_path, Worlds(poor, choice=poor), total=20_000)
-    chosen = 5 * EVALUATION_EPISODES * 6 * 4
-    assert (
-        0
-        < result.evaluation_steps
-        <= result.steps * callbacks.URGENT_SHARE + 2 * EVALUATION_EPISODES * 6 + chosen
-    )
-
-
-@pytest.mark.slow
-def test_the_best_models_are_not_the_same_policy_evaluated_again_within_a_long_rollout(
-    tmp_path: Path,
-) -> None:
-    result = learned(tmp_path, Worlds(poor), total=3_000, n_steps=500, batch_size=500)
-    # The last evaluation follows the last update.
-    rollouts = [(steps - 1) // 1_000 for steps in evaluated_steps(result)[:-1]]
-    assert len(rollouts) >= 2
-    assert len(set(rollouts)) == len(rollouts)
-
-
 def test_evaluations_start_where_neither_training_nor_evaluation_does(
     unpaid: tuple[Worlds, TrainingResult],
 ) -> None:

@@ -60,7 +60,6 @@ from deepbots_cli.learning.runs.run import Run, RunRecord
 from deepbots_cli.learning.sb3.imitation import keep_labels, labeled
 from deepbots_cli.learning.shards import LocalShards, Shard, world_numbers
 from deepbots_cli.learning.teaching import Teaching
-from deepbots_cli.learning.training import measure_shards
 from deepbots_cli.program.task import (
     ActionNoise,
     AdaptiveRate,
@@ -894,25 +893,3 @@ def test_a_resumed_run_and_the_seeds_of_a_group_keep_them(tmp_path: Path, instal
     assert rest.stopped_by is None
     assert rest.inexact == ("the callbacks changed at 0 steps from gone to none",)
     assert (RunRecord.read(run).callbacks, RunRecord.read(run).loggers) == ((), ())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "changes",
-    [
-        ["train.n_steps=16"],
-        pytest.param(
-            ["train={algorithm: DQN, total_timesteps: 1000, environments: 2}"], marks=pytest.mark.slow
-        ),
-    ],
-)
-def test_the_parts_of_the_time_add_up_and_nothing_is_left(tmp_path: Path, changes: list[str]) -> None:
-    measured = measure_shards("cartpole", [1, 2], SERIAL, overrides=changes, folder=tmp_path, seconds=0.2)
-    assert [timing.shards for timing in measured] == [1, 2]
-    for timing in measured:
-        parts = (
-            timing.worlds_us + timing.policy_us + timing.transfer_us + timing.waiting_us + timing.update_us
-        )
-        assert parts == pytest.approx(1e6 / timing.steps_per_second)
-        assert min(timing.worlds_us, timing.policy_us, timing.update_us) > 0
-    assert not list(tmp_path.iterdir())

@@ -102,14 +102,14 @@ REPLACEMENTS: Mapping[str, str] = {
 """The commands and options to write instead of other names that people look for."""
 GONE: Mapping[str, str] = {
     "--retry": "after a training that is not solved, `train` prints the command with the advised values",
-    "--shards auto": "measure with `deepbots bench SCENARIO --shards 1,2,4`, and write the fastest number",
+    "--shards auto": "write the number of cores, and compare the steps/s of trainings with fewer",
     "--to leapp": "leave out --to: a bundle has the same graph, policy.onnx",
 }
 """The options, and the values of options, that are gone, and what to do instead."""
 
 
 NEEDS: Mapping[str, Mapping[str, str]] = {
-    "bench": {"--worlds": "--engine", "--workers --cluster": "--shards"},
+    "bench": {"--worlds": "--engine"},
     "eval": {"--junit": "--min-success --min-return --require-solved"},
     "lint": {"--unsafe-fixes": "--fix --diff"},
     "lsp": {"--for --output": "--schema"},
@@ -131,7 +131,6 @@ NEEDS: Mapping[str, Mapping[str, str]] = {
 _EPISODES_OF_RUN = "--scenario --set --case --stage --engine --seed --last --stochastic"
 EXCLUDES: Mapping[str, Mapping[str, str]] = {
     "": {"--workers": "--cluster"},
-    "bench": {"--shards": "--steps --pairs --quick"},
     "compare": {"--own": "--scenario; evaluates each run in its own scenario"},
     "compile": {
         "--program": "--json --target --project; prints the scenario itself, as JSON",

@@ -12,7 +12,6 @@ from contextlib import closing
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
-from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
@@ -20,15 +19,13 @@ import typer
 
 import deepbots_cli
 from deepbots_cli import api, engines
-from deepbots_cli.cli import arguments, terminal
+from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
-    ClusterAddress,
     Json,
     Overrides,
     Scenario,
     Seed,
-    Workers,
     integer,
     known_engine,
     option,
@@ -88,16 +85,6 @@ def command(
             " `batch` steps many worlds in MuJoCo.",
         ),
     ] = None,
-    shards: Annotated[
-        str | None,
-        option(
-            "--shards N,N",
-            "Measure a training with these numbers of shards on processes of this machine, such as 1,2,4;"
-            " one shard runs without them.",
-        ),
-    ] = None,
-    workers: Workers = None,
-    address: ClusterAddress = None,
     worlds: Annotated[
         str | None, option("--worlds N,N", "With `batch`, how many worlds; 1,16,64,256 by default.", ADVANCED)
     ] = None,
@@ -113,20 +100,6 @@ def command(
     if worlds is not None and speed.BATCH not in names:
         raise UsageError("--worlds needs --engine batch")
     several = len(names) > 1 or speed.BATCH in names
-    if shards is not None:
-        if several:
-            raise UsageError("--shards measures a training with one engine; name one with --engine")
-        _bench_shards(
-            scenario,
-            with_engine(overrides, engine),
-            shards,
-            workers,
-            address,
-            seed=seed,
-            as_json=as_json,
-            permissions=permissions,
-        )
-        return
     end = math.inf if steps or pairs else time.perf_counter() + LIMIT_S
     compiled = api.compile(
         scenario,
@@ -169,7 +142,7 @@ def command(
     terminal.show(data, *lines, *([] if faster is None else [faster.text]), as_json=as_json)
 
 
-def counts(text: str, option: str = "--worlds") -> list[int]:
+def counts(text: str) -> list[int]:
     """Parse the numbers in `1,16,64`.
 
     Raises:
@@ -178,64 +151,8 @@ def counts(text: str, option: str = "--worlds") -> list[int]:
     parts = text.split(",")
     # `isdigit` also accepts digits such as ², which `int` refuses.
     if not all(part.isascii() and part.isdigit() and int(part) for part in parts):
-        raise UsageError(f"{option} {text} is not a list of whole numbers from 1, such as 1,2,4")
+        raise UsageError(f"--worlds {text} is not a list of whole numbers from 1, such as 1,2,4")
     return [int(part) for part in parts]
-
-
-def _bench_shards(
-    scenario: str,
-    overrides: list[str],
-    listed: str,
-    workers: int | None,
-    address: str | None,
-    *,
-    seed: int,
-    as_json: bool,
-    permissions: Permissions,
-) -> None:
-    """Measure trainings with several numbers of shards."""
-    numbers = counts(listed, "--shards")
-    compiled = api.compile(
-        scenario, overrides=[*overrides, f"train.shards={max(numbers)}"], permissions=permissions
-    )
-    terminal.note_warnings(compiled.findings, scenario)
-    with terminal.transient_line("loading PyTorch ..."):
-        from deepbots_cli.learning import training
-    if address is None and workers is None and max(numbers) > 1:
-        workers = min(max(numbers), available_cores())
-    terminal.note(
-        f"training for about {training.MEASURED_SECONDS:.0f} s with each number of shards, after the start of their"
-        " processes"
-    )
-    with arguments.executor(workers, address) as executor, terminal.progress("measurements") as show:
-        timings = training.measure_shards(
-            scenario,
-            numbers,
-            executor,
-            overrides=overrides,
-            permissions=permissions,
-            seed=seed,
-            folder=None if address is None else Path.cwd(),
-            on_measured=show,
-        )
-    title = f"{compiled.program.name}, training; us per step of one world, by the clock"
-    rows = [
-        {
-            "shards": timing.shards,
-            "workers": timing.workers or "-",
-            "steps/s": round(timing.steps_per_second),
-            "times": round(timing.speedup, 2),
-            "efficiency": round(timing.efficiency, 2),
-            "us/step": round(1e6 / timing.steps_per_second, 1),
-            "worlds": round(timing.worlds_us, 1),
-            "policy": round(timing.policy_us, 1),
-            "transfer": round(timing.transfer_us, 1),
-            "waiting": round(timing.waiting_us, 1),
-            "update": round(timing.update_us, 1),
-        }
-        for timing in timings
-    ]
-    terminal.show(timings, title, table(rows), as_json=as_json)
 
 
 def _affordable_steps(per_second: float, rounds: int) -> int:
