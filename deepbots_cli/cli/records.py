@@ -25,7 +25,6 @@ from deepbots_cli.words import counted, number_text, rate_text, shell_word
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.robustness import Condition, Robustness
     from deepbots_cli.view.frames import WorldFrame
 
@@ -299,41 +298,6 @@ def trained_text(
 def evaluation_json(result: EvaluationResult, cases: Sequence[EvaluationResult] = ()) -> dict[str, Any]:
     """Return an evaluation and its cases as a dictionary."""
     return result.model_dump(mode="json") | {"cases": [case.model_dump(mode="json") for case in cases]}
-
-
-def kept_text(kept_model: KeptModel) -> str:
-    """Return the models that played new starts, and the one that is the best from now on."""
-    has_success = kept_model.run.program.defines_success
-    rows = [
-        {
-            "model": played.name,
-            "after_steps": played.result.steps,
-            "new_starts": played.result.episodes,
-            "success": percent(played.result.success_rate) if has_success else "",
-            "return": played.result.mean_return,
-        }
-        for played in kept_model.played
-    ]
-    lines = [f"models of {kept_model.run.path} on new starts, the best first", table(rows)] if rows else []
-    after = "" if kept_model.best.steps is None else f", after {kept_model.best.steps:,} steps"
-    if kept_model.earlier is None:
-        lines.append(f"best.zip stays the best model: {kept_model.name}{after}")
-    else:
-        lines.append(
-            f"best.zip is now {kept_model.name}{after}; the best model of before is {kept_model.earlier.name}"
-        )
-    return "\n".join([*lines, "\non further new starts, which were not used to choose it:"])
-
-
-def kept_json(kept_model: KeptModel) -> dict[str, Any]:
-    """Return the models that played new starts, and the best one, as a dictionary."""
-    played = [{"name": model.name, **vars(model.result)} for model in kept_model.played]
-    return {
-        "model": kept_model.name,
-        "best": kept_model.best,
-        "earlier": kept_model.earlier,
-        "played": played,
-    }
 
 
 def summary_text(

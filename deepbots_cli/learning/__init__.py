@@ -11,7 +11,7 @@ environments.py          the worlds of a training or an evaluation, held-out epi
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 executor.py              executors of work, in this process or on workers; Ctrl-C and SIGTERM
 
-evaluation.py            evaluate: a policy on held-out starts, with intervals; the best model chosen again
+evaluation.py            evaluate: a policy on held-out starts, with intervals
 comparison.py            compare: groups of runs on the same starts; a group as one
 robustness.py            a policy under changed conditions
 policy.py                the policies of runs: loaded, as objects to call, beside other agents

@@ -873,27 +873,6 @@ def test_robustness_of_a_checkpoint_is_that_of_the_checkpoint(deepbots: Deepbots
     assert (report["nominal"]["model"], report["nominal"]["model_steps"]) == ("step-000000128", 128)
 
 
-@pytest.mark.slow
-def test_the_best_model_of_a_run_is_chosen_again_and_evaluated(deepbots: Deepbots, trained: Ran) -> None:
-    ran = deepbots("eval", "mine", "--keep", "--episodes", "4")
-    assert "models of mine on new starts, the best first" in ran.out
-    assert "on further new starts, which were not used to choose it:\nnot solved: mean return " in ran.out
-    best = RunRecord.read(Path("mine")).result.best  # type: ignore[union-attr]
-    assert best is not None
-    assert best.chosen_by == "new starts"
-    assert f"held-out starts from evaluation seed {best.evaluation_seed}" in ran.out
-
-
-def test_a_checkpoint_becomes_the_best_model_by_hand(deepbots: Deepbots, trained: Ran) -> None:
-    report = json.loads(deepbots("eval", STEP, "--keep", "--episodes", "2", "--json").out)
-    assert (report["model"], report["model_steps"]) == ("best", 128)
-    assert report["kept"]["best"]["chosen_by"] == "hand"
-    assert report["kept"]["earlier"] == "mine/models/agent/earlier-1.zip"
-    assert "chosen by hand" in deepbots("inspect", "mine").out
-    refused = deepbots("eval", "mine", "--keep", "--set", "fall_angle=3 deg", code=2)
-    assert "--keep judges models in the scenario of their training; leave out --set" in refused.err
-
-
 MESH = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MESHED = """\
 deepbots: 1

@@ -2,14 +2,11 @@
 
 * Evaluating a run.
 * Changed conditions of an evaluation.
-* The best model of a run, chosen again on new starts or by hand (`eval --keep`).
 """
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,7 +14,6 @@ from typing import Any
 
 import pytest
 import stand_in
-from stand_in import hyper
 
 from deepbots_cli import api
 from deepbots_cli.api import Compiled, compile, make
@@ -33,7 +29,6 @@ from deepbots_cli.learning import (
     evaluate_robustness,
     train,
 )
-from deepbots_cli.learning.evaluation import keep, kept_models
 from deepbots_cli.learning.robustness import (
     Change,
     RobustnessLevel,
@@ -46,12 +41,11 @@ from deepbots_cli.learning.robustness import (
     plans,
     scaled,
 )
-from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.episodes import Summary
-from deepbots_cli.learning.runs.run import ModelRef, Run, RunRecord, steps_of
-from deepbots_cli.learning.runs.verdict import run_verdict, solved_verdict
+from deepbots_cli.learning.runs.run import Run
+from deepbots_cli.learning.runs.verdict import solved_verdict
 from deepbots_cli.program import Program
-from deepbots_cli.program.task import Solved, Training
+from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from tests.commands import Deepbots
@@ -597,135 +591,3 @@ def test_a_policy_that_fails_without_any_change_has_nothing_to_keep(
     assert result.bar is None
     assert result.nominal_holds is False
     assert result.conditions == ()
-
-
-SHORT = Training(
-    "PPO",
-    400,
-    2,
-    hyper(n_steps=32, batch_size=32, n_epochs=1),
-)
-
-
-class PaidByTurn:
-    """Builds worlds that pay 1 a step to the models that play in certain turns."""
-
-    def __init__(self, *turns: int) -> None:
-        self.turns = turns
-        self.count = 0
-        self.open = 0
-        self.seeds: set[int] = set()
-
-    def __call__(self, program: Program, *, render_mode: str | None = None) -> Paid:
-        self.count += not self.open  # a model may play in several worlds at once
-        self.open += 1
-        return Paid(program, self, float(self.count - 1 in self.turns))
-
-
-class Paid(stand_in.CartPole):
-    def __init__(self, program: Program, worlds: PaidByTurn, reward: float) -> None:
-        super().__init__(program)
-        self.worlds, self.reward = worlds, reward
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        if seed is not None:
-            self.worlds.seeds.add(seed)
-        return super().reset(seed=seed, options=options)
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        observation, _, terminated, truncated, info = super().step(action)
-        return observation, self.reward, terminated, truncated, info
-
-    def close(self) -> None:
-        self.worlds.open -= 1
-        super().close()
-
-
-@pytest.fixture(scope="module")
-def with_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run with three models: of 192, 320 and 448 steps; the last one is the best. Not to be changed."""
-    task, folder = stand_in.compiled(training=SHORT), tmp_path_factory.mktemp("kept")
-    return train(task, run=folder / "run", build=stand_in.build, keep_checkpoints=3).run
-
-
-@pytest.fixture
-def run(with_checkpoints: Path, tmp_path: Path) -> Run:
-    return Run.open(Path(shutil.copytree(with_checkpoints, tmp_path / "run")))
-
-
-def bytes_of(run: Run, name: str) -> bytes:
-    return run.model(name).read_bytes()
-
-
-def test_the_best_model_is_chosen_again_on_new_starts_and_evaluated_on_others(run: Run) -> None:
-    before = bytes_of(run, "best")
-    names = kept_models(run)
-    assert len(names) >= 3
-    assert len(set(names.values())) == len(names)
-    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
-    # The second model wins the first round, and is the first to play in each later one.
-    turns = [1]
-    left = len(names)
-    played = left
-    while (left := (left + 1) // 2) > 1:
-        turns.append(played)
-        played += left
-    build = PaidByTurn(*turns)
-    progress = list[tuple[int, int]]()
-    kept = keep(ModelRef(run), build=build, on_model=lambda done, planned: progress.append((done, planned)))
-    steps, name = list(names.items())[1]
-    assert (kept.name, kept.best.steps, kept.best.chosen_by) == (name, steps, "new starts")
-    assert (kept.best.mean_return, progress[-1]) == (kept.played[0].result.mean_return, (played, played))
-    assert (bytes_of(run, "best"), kept.earlier) == (bytes_of(run, name), run.model("earlier-1"))
-    assert bytes_of(run, "earlier-1") == before
-    record = RunRecord.read(run.path)
-    assert record.result is not None
-    assert record.result.best == kept.best
-    # The evaluations of the earlier model do not apply to this one.
-    assert run_verdict(run.path, record).evaluation is None
-    seeds_of_the_choice = set(build.seeds)
-    evaluated = evaluate(kept.run, episodes=4, build=build)
-    assert evaluated.seed == kept.best.evaluation_seed != run.record.seed
-    assert not {episode.seed for episode in evaluated.outcomes} & seeds_of_the_choice
-    kept.run.write_evaluation(evaluated.model_dump(mode="json"))
-    assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
-
-
-def test_a_checkpoint_is_kept_by_hand(run: Run) -> None:
-    name = next(name for name in kept_models(run).values() if name.startswith("step-"))
-    before = bytes_of(run, "best")
-    kept = keep(ModelRef.open(run.model(name)), build=stand_in.build)
-    assert (kept.best.chosen_by, kept.best.steps, kept.played) == ("hand", steps_of(run.model(name)), ())
-    assert "chosen by hand" in kept.best.text
-    assert (bytes_of(run, "best"), bytes_of(run, "earlier-1")) == (bytes_of(run, name), before)
-    again = keep(ModelRef.open(run.model("earlier-1")), build=stand_in.build)
-    assert (bytes_of(run, "best"), again.earlier) == (before, run.model("earlier-2"))
-    assert again.best.evaluation_seed != kept.best.evaluation_seed
-
-
-def test_the_best_model_stays_with_its_evaluations_where_it_is_chosen_again(run: Run) -> None:
-    run.write_evaluation(evaluate(run, episodes=4, build=stand_in.build).model_dump(mode="json"))
-    assert keep(ModelRef.open(run.model("best")), build=stand_in.build).earlier is None
-    assert not list(run.model("best").parent.glob("earlier-*"))
-    assert run_verdict(run.path, RunRecord.read(run.path)).evaluation is not None
-
-
-def test_no_model_is_kept_while_a_training_is_at_work(run: Run) -> None:
-    digest = stand_in.tree_digest(run.path / "models")
-    with run_lock(run.path), pytest.raises(UsageError, match="another process writes to"):
-        keep(ModelRef(run), build=stand_in.build)
-    record = json.loads((run.path / "run.json").read_text())
-    (run.path / "run.json").write_text(json.dumps(record | {"status": "running", "result": None}))
-    with pytest.raises(UsageError, match="has not ended; continue it with: deepbots resume"):
-        keep(ModelRef.open(run.path), build=stand_in.build)
-    assert stand_in.tree_digest(run.path / "models") == digest
-
-
-def test_a_file_that_is_not_a_model_is_not_kept(run: Run) -> None:
-    run.model("step-000000001").write_bytes(b"nothing")
-    before = bytes_of(run, "best")
-    with pytest.raises(RunError, match="is damaged, or was not written by deepbots"):
-        keep(ModelRef.open(run.model("step-000000001")), build=stand_in.build)
-    assert bytes_of(run, "best") == before

@@ -101,6 +101,7 @@ REPLACEMENTS: Mapping[str, str] = {
 }
 """The commands and options to write instead of other names that people look for."""
 GONE: Mapping[str, str] = {
+    "--keep": "name the model in place of the run, such as RUN/models/agent/last.zip",
     "--retry": "after a training that is not solved, `train` prints the command with the advised values",
     "--shards auto": "write the number of cores, and compare the steps/s of trainings with fewer",
     "--to leapp": "leave out --to: a bundle has the same graph, policy.onnx",
@@ -128,7 +129,6 @@ NEEDS: Mapping[str, Mapping[str, str]] = {
     },
 }
 """The options, by command, that need one of other options, and after a semicolon what they do."""
-_EPISODES_OF_RUN = "--scenario --set --case --stage --engine --seed --last --stochastic"
 EXCLUDES: Mapping[str, Mapping[str, str]] = {
     "": {"--workers": "--cluster"},
     "compare": {"--own": "--scenario; evaluates each run in its own scenario"},
@@ -136,7 +136,6 @@ EXCLUDES: Mapping[str, Mapping[str, str]] = {
         "--program": "--json --target --project; prints the scenario itself, as JSON",
         "--project": "--output --target; writes the module for one world",
     },
-    "eval": {"--keep": f"{_EPISODES_OF_RUN}; judges models in the scenario of their training"},
     "export": {
         "--new-key": "--output --to --last --check --sign; makes a key and exports nothing",
         "--sign": "--check --to; signs a bundle",
@@ -187,7 +186,7 @@ TAKES: Mapping[str, Mapping[str, str]] = {
     },
     "eval": {
         "--episodes failed": "--episodes",
-        "a group": "all but --baselines --details --keep; name one of its runs",
+        "a group": "all but --baselines --details; name one of its runs",
         "several engines": "all but --baselines --details; name one engine",
     },
     "export": {

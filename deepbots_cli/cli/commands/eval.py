@@ -54,7 +54,6 @@ from deepbots_cli.words import beside, counted, shell_word
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning import EvaluationResult, GroupResult
-    from deepbots_cli.learning.evaluation import KeptModel
     from deepbots_cli.learning.executor import Executor
     from deepbots_cli.program import Program
     from deepbots_cli.rollout import Episode
@@ -171,15 +170,6 @@ def command(
             ADVANCED,
         ),
     ] = None,
-    keep: Annotated[
-        bool,
-        option(
-            "--keep",
-            "Choose the best model of the run again: the best of its models on new starts, or the model that"
-            " RUN names.",
-            ADVANCED,
-        ),
-    ] = False,
     last: Annotated[
         bool, option("--last", "Evaluate the last model instead of the best one.", ADVANCED)
     ] = False,
@@ -240,11 +230,9 @@ def command(
         _evaluate_group(request, seed=seed or 0, model="last" if last else "best")
         return
     ref = ModelRef.open(source, model="last" if last else "best")
-    kept_model = _kept(ref, workers, address, permissions, as_json=as_json) if keep else None
     _evaluate_run(
         request,
-        ref if kept_model is None else ModelRef(kept_model.run),
-        kept_model,
+        ref,
         seed,
         baselines=baselines,
         details=details,
@@ -311,13 +299,12 @@ class _Request:
 def _evaluate_run(
     request: _Request,
     ref: ModelRef,
-    kept_model: KeptModel | None,
     seed: int | None,
     *,
     baselines: bool,
     details: bool,
 ) -> None:
-    """Evaluate a model of a run in each engine; `kept_model` is the choice of that model."""
+    """Evaluate a model of a run in each engine."""
     run = ref.run
     gates = request.gates
     case, stage = request.case, request.stage
@@ -364,9 +351,7 @@ def _evaluate_run(
     if len(evaluations) > 1:
         _show_engines(run, evaluations, as_json=request.as_json)
     else:
-        data = evaluations[0].as_json() | (
-            {} if kept_model is None else {"kept": records.kept_json(kept_model)}
-        )
+        data = evaluations[0].as_json()
         verdict = records.evaluation_verdict(evaluations[0].result)
         lines = evaluations[0].lines(details=details)
         terminal.show(data, *lines, verdict=verdict, as_json=request.as_json)
@@ -522,22 +507,6 @@ def _show_unfinished(evaluations: Sequence[_EngineEvaluations], *, details: bool
     lines = [line for evaluation in evaluations for line in evaluation.lines(details=details)]
     terminal.show(data | {"unfinished": list(unfinished)}, *lines, as_json=as_json)
     terminal.note(f"not evaluated: {', '.join(unfinished)}")
-
-
-def _kept(
-    ref: ModelRef, workers: int | None, address: str | None, permissions: Permissions, *, as_json: bool
-) -> KeptModel:
-    """Choose the best model of a run again, and show how."""
-    with terminal.transient_line("loading the policies ..."):
-        from deepbots_cli.learning.evaluation import keep
-    with (
-        arguments.executor(workers, address) as executor,
-        terminal.progress("models", always=False) as show_model,
-    ):
-        kept_model = keep(ref, permissions=permissions, on_model=show_model, executor=executor)
-    if not as_json:
-        terminal.print_result(records.kept_text(kept_model))
-    return kept_model
 
 
 def _show_engines(run: Run, evaluations: Sequence[_EngineEvaluations], *, as_json: bool) -> None:

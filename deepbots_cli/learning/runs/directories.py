@@ -383,8 +383,7 @@ def run_lock(folder: Path, name: str = ".lock", wait_s: float = _LOCK_WAIT_S) ->
         lock = FileLock(path, timeout=wait_s).acquire()
     except Timeout:
         raise UsageError(
-            f"another process writes to {folder}, a training or `eval --keep`; wait until it finishes, or"
-            " stop it"
+            f"another process writes to {folder}, such as a training; wait until it finishes, or stop it"
         ) from None
     except OSError as error:
         raise UsageError(unwritable_message(folder, error)) from error

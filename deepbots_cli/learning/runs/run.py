@@ -13,8 +13,7 @@
     ├── tensorboard/
     ├── models/agent/        best.zip, last.zip: models of the learner; candidate-000000020000.zip of the best
     │                        evaluations;
-    │                        step-000020000.zip with --keep-checkpoints; earlier-1.zip was the best before
-    │                        `eval --keep`
+    │                        step-000020000.zip with --keep-checkpoints
     ├── evaluations/         training.jsonl, and a file for each later evaluation, with its episodes
     ├── logs/                the output of callbacks and loggers
     └── checkpoints/         the state from which a resumed training continues
@@ -86,15 +85,15 @@ class BestModel(BaseModel):
         steps: The steps of the training after which it was saved.
         chosen_by: `confirmation`: it ended the training. `new starts`: the models of the best evaluations
             played new starts. `evaluation`: there was no second model, or the training was interrupted.
-            `hand`: a person named it (`eval MODEL --keep`). `newest`: agents that compete have no common
+            `hand`: a person named it, with an earlier version. `newest`: agents that compete have no common
             measure, so it is the newest model.
         measure: The measure of the task, by which it was chosen.
         episodes: The held-out episodes that chose it, of which the other values are; they are better than
             those of new episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
         mean_return: None if a person chose it.
-        evaluation_seed: The root seed of the starts on which `eval --keep` evaluated it after it was chosen,
-            so that they did not choose it.
+        evaluation_seed: The root seed of starts that did not choose it, where an earlier version chose it after
+            the training.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)
@@ -348,7 +347,7 @@ class RunRecord(BaseModel):
         there is no other, and its `solved` is None: the criterion may be another one.
         """
         best = None if self.result is None else self.result.best
-        # `eval --keep` may have replaced the best model.
+        # A resumed training may have replaced the best model.
         models = {evaluation.model_steps, None if best is None else best.steps} - {None}
         is_of_best = evaluation.model == "best" and evaluation.deterministic and len(models) <= 1
         before = self.quoted
