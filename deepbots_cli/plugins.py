@@ -11,7 +11,7 @@
     deepbots.engines      a `port.EngineFactory`, under its name
     deepbots.scenarios    a package whose folder holds `scenarios/*.yaml` and `robots/urdf/*.urdf`
 
-`deepbots.webots` has the commands of deepbots-webots (`cli/webots.py`).
+`deepbots.webots` has the commands of deepbots-webots (`cli/command.py`).
 
 A group is loaded when a name is looked up that deepbots does not define itself, or when all names are listed.
 An entry that cannot be loaded, has the wrong type or has a name that is taken is left out, with one warning

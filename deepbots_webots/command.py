@@ -23,7 +23,7 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
-    from deepbots_cli.cli.webots import Starter
+    from deepbots_cli.cli.command import Starter
     from deepbots_webots.project import Program, World
     from deepbots_webots.runner import Outcome
     from deepbots_webots.scene import Robot, Scene

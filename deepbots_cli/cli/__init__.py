@@ -10,7 +10,6 @@ records.py             results of trainings and evaluations as text, JSON and CS
 written_files.py       the files that commands write: new ones, changes of the user's files, recordings of
                        exploits
 explanations.py        the entries of `explain` about a word
-webots.py              the commands of deepbots-webots, by its entry points
 studies.py             the display and the table of a study of `tune`
 help/                  the text of `--help` of each command, without its options
 starters/              the scenarios that `new` writes

@@ -7,11 +7,11 @@ import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from functools import cache, wraps
 from importlib import import_module
-from pathlib import Path
-from typing import Annotated, Any
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -28,9 +28,10 @@ from deepbots_cli.cli.commands import (
     TAKES,
     function_name,
 )
-from deepbots_cli.cli.webots import entry_of_webots
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.errors import UsageError
+from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.plugins import entry_points_of
+from deepbots_cli.records import dataclass
 from deepbots_cli.words import sentence_list
 
 MAX_SEED = 2**63 - 1
@@ -745,3 +746,37 @@ def _deepbots(
     ] = False,
 ) -> None:
     """Handle the options of the program itself."""
+
+
+# The commands of deepbots-webots, a distribution of its own, by its entry points
+
+
+_WEBOTS_GROUP = "deepbots.webots"
+_WEBOTS_USES = {
+    "command": "`deepbots webots`",
+    "starter": "`deepbots new --webots`",
+    "exporter": "`deepbots export --to webots`",
+}
+
+
+@dataclass
+class Starter:
+    """The files of a scenario for a world, the number of places that are left, and warnings about the
+    world."""
+
+    files: dict[PurePosixPath, bytes]
+    todos: int
+    warnings: list[str] = field(default_factory=list)
+
+
+def entry_of_webots(name: Literal["command", "starter", "exporter"]) -> Callable[..., Any]:
+    """Import and return the function of an entry point.
+
+    Raises:
+        MissingExtraError: deepbots-webots is not installed.
+    """
+    for entry in entry_points_of(_WEBOTS_GROUP):
+        if entry.name == name:
+            function: Callable[..., Any] = entry.load()
+            return function
+    raise MissingExtraError("webots", _WEBOTS_USES[name])

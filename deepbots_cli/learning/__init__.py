@@ -11,7 +11,8 @@ environments.py          the worlds of a training or an evaluation, held-out epi
 shards.py                the worlds of a training, and shards of them with a copy of the policy
 executor.py              executors of work, in this process or on workers; Ctrl-C and SIGTERM
 
-evaluation.py            evaluate: a policy on held-out starts, with intervals
+evaluation.py            evaluate: a policy on held-out starts, with intervals; policies and scripts of
+                         two agents against each other
 comparison.py            compare: groups of runs on the same starts; a group as one
 robustness.py            a policy under changed conditions
 policy.py                the policies of runs: loaded, as objects to call, beside other agents
@@ -20,7 +21,6 @@ scenario_tests.py        the tests of a scenario
 
 multi_agent.py           the learner of several agents: one for each of them
 self_play.py             one policy for two equal agents, against itself and a pool of its past versions
-matches.py               policies and scripts of two agents against each other
 
 runs/                    the directory of a run, and what follows from its files alone
 campaigns/               several trainings of one scenario: groups, studies, and how they are listed
@@ -41,12 +41,13 @@ if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import resume_group, train_group
     from deepbots_cli.learning.comparison import Comparison, GroupResult, compare, evaluate_group
     from deepbots_cli.learning.evaluation import (
+        MatchTable,
         evaluate,
         evaluate_baselines,
         evaluate_cases,
         evaluate_trained,
+        play_matches,
     )
-    from deepbots_cli.learning.matches import MatchTable, play_matches
     from deepbots_cli.learning.policy import Policy, load_policy
     from deepbots_cli.learning.robustness import Robustness, evaluate_robustness
     from deepbots_cli.learning.runs.evaluations import EvaluationResult
@@ -55,9 +56,15 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "comparison": ("Comparison", "GroupResult", "compare", "evaluate_group"),
-    "evaluation": ("evaluate", "evaluate_baselines", "evaluate_cases", "evaluate_trained"),
+    "evaluation": (
+        "MatchTable",
+        "evaluate",
+        "evaluate_baselines",
+        "evaluate_cases",
+        "evaluate_trained",
+        "play_matches",
+    ),
     "campaigns.group": ("resume_group", "train_group"),
-    "matches": ("MatchTable", "play_matches"),
     "policy": ("Policy", "load_policy"),
     "robustness": ("Robustness", "evaluate_robustness"),
     "runs.evaluations": ("EvaluationResult",),

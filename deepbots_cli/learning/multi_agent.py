@@ -31,9 +31,9 @@ from deepbots_cli.learning.runs.run import DATA, data_of, opened_archive
 from deepbots_cli.learning.sb3.logs import AgentLog
 from deepbots_cli.program import Program
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.collector import PolicyActor
-from deepbots_cli.rollout.seats import (
+from deepbots_cli.rollout.collector import (
     MultiAgentActor,
+    PolicyActor,
     SeatCollector,
     joined_actions,
     own_entries,

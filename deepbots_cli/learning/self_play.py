@@ -24,9 +24,16 @@ from deepbots_cli.learning.runs.run import PoolGames, Rating
 from deepbots_cli.program import qualified_name
 from deepbots_cli.program.task import SelfPlay, Training
 from deepbots_cli.records import dataclass
-from deepbots_cli.rollout.collector import Decision, Fragment, LocalCollector, PolicyActor
+from deepbots_cli.rollout.collector import (
+    Decision,
+    Fragment,
+    LocalCollector,
+    MultiAgentActor,
+    PolicyActor,
+    SeatCollector,
+    joined_actions,
+)
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.seats import MultiAgentActor, SeatCollector, joined_actions
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.runtime.spaces import apply_to_parts
 

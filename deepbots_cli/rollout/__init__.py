@@ -6,7 +6,6 @@ drivers.py            drivers: a script, random or zero actions, a list of actio
 recordings.py         the episodes in a recording, and in the log of a robot
 worlds.py             worlds that run side by side: single worlds, and the worlds of a batch
 collector.py          fragments of experience, from worlds in this process and from shards
-seats.py              the experience of each of several agents in the same worlds
 policies.py           a trained policy as a driver; evaluations in a world, or in a batch of them
 
 Environments are stepped in `episode.steps`, one at a time, and in `worlds.SingleWorlds` and

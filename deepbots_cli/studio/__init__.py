@@ -16,8 +16,7 @@ editor.py         the text editor of the page, with `editor.js`, and the finding
 explain.py        explanations of words and findings, with links
 robot_pane.py     the robot on the page
 lesson_tab.py     the tab of a lesson that was started in the folder: its text, its checks, its points
-training_tab.py   the tab for training, with the learning curve
-runs_tab.py       the tab with the runs, and their diagnosis
+runs_tab.py       the tabs for training, with the learning curve, and with the runs, and their diagnosis
 
 Nothing imports this package but the command `deepbots studio`. NiceGUI is in the extra `studio`.
 

@@ -19,9 +19,8 @@ from deepbots_cli.studio.files import OpenFile
 from deepbots_cli.studio.layout import ICONS, CommandTab, Division, Notices
 from deepbots_cli.studio.lesson_tab import LessonTab
 from deepbots_cli.studio.robot_pane import DRAWS, KEYS, RobotPane
-from deepbots_cli.studio.runs_tab import RunsTab
+from deepbots_cli.studio.runs_tab import RunsTab, TrainingTab
 from deepbots_cli.studio.session import HAS_ERRORS, TABS, Session, Topic
-from deepbots_cli.studio.training_tab import TrainingTab
 from deepbots_cli.words import counted
 
 _MAX_FIXES = 3

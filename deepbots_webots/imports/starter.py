@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from deepbots_cli import api
+from deepbots_cli.cli.command import Starter
 from deepbots_cli.cli.starters.draft import yaml_name
-from deepbots_cli.cli.webots import Starter
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import UsageError
 from deepbots_cli.robots.model import to_urdf

@@ -33,9 +33,8 @@ from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.sb3.internals import samples_chosen
 from deepbots_cli.program import Program
-from deepbots_cli.rollout.collector import Decision, LocalCollector
+from deepbots_cli.rollout.collector import Decision, LocalCollector, SeatCollector
 from deepbots_cli.rollout.episode import own_episode
-from deepbots_cli.rollout.seats import SeatCollector
 from deepbots_cli.rollout.worlds import BatchWorlds, SingleWorlds, Worlds, observation_digest
 from deepbots_cli.runtime.agents import SeatLayout
 from deepbots_cli.view.frames import FrameReader

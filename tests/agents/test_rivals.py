@@ -28,8 +28,7 @@ from deepbots_cli.insight.causes import causes_after, diagnose
 from deepbots_cli.insight.training import TrainingEvidence, read_training, read_trainings, run_probes
 from deepbots_cli.learning import self_play
 from deepbots_cli.learning.checkpoints import latest_checkpoint
-from deepbots_cli.learning.evaluation import evaluate
-from deepbots_cli.learning.matches import play_matches
+from deepbots_cli.learning.evaluation import evaluate, play_matches
 from deepbots_cli.learning.policy import load_model
 from deepbots_cli.learning.runs.run import PoolGames, Run
 from deepbots_cli.learning.self_play import SelfPlayLearner, Sides, SidesCollector

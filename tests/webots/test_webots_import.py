@@ -20,7 +20,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from deepbots_cli import api
-from deepbots_cli.cli.webots import Starter
+from deepbots_cli.cli.command import Starter
 from deepbots_cli.diagnostics import Source
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.errors import DeepbotsError

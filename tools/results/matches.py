@@ -11,7 +11,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
-from deepbots_cli.learning.matches import MatchTable, play_matches
+from deepbots_cli.learning.evaluation import MatchTable, play_matches
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.program import RANDOM
 

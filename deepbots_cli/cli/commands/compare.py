@@ -44,7 +44,7 @@ from deepbots_cli.words import counted, number_text, rate_text, shell_word
 if TYPE_CHECKING:
     from deepbots_cli.api import Compiled
     from deepbots_cli.learning.comparison import Comparison, GroupResult
-    from deepbots_cli.learning.matches import Match, MatchTable
+    from deepbots_cli.learning.evaluation import Match, MatchTable
 
 _BETTER = {
     "success_rate": "a success where the first run has none",

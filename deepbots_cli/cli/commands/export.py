@@ -24,11 +24,11 @@ from deepbots_cli.cli.command import (
     Json,
     Overrides,
     check_options,
+    entry_of_webots,
     integer,
     option,
 )
 from deepbots_cli.cli.exits import FAILED
-from deepbots_cli.cli.webots import entry_of_webots
 from deepbots_cli.cli.written_files import check_new_folder, refuse_links_within, write_new
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, MissingExtraError, UsageError

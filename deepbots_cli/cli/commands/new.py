@@ -17,12 +17,11 @@ import typer
 from deepbots_cli import api
 from deepbots_cli.cli import starters, terminal
 from deepbots_cli.cli.arguments import RobotError, open_robot, robot_path, xacro_arguments
-from deepbots_cli.cli.command import OUTPUT, Force, Json, XacroArguments, option
+from deepbots_cli.cli.command import OUTPUT, Force, Json, Starter, XacroArguments, entry_of_webots, option
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.starters.draft import Template, from_template, scenario_title
 from deepbots_cli.cli.starters.first_scenario import UNIT_CODES, Choices, FirstScenario, Task
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.cli.webots import Starter, entry_of_webots
 from deepbots_cli.cli.written_files import Files, modeline, write_new
 from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source

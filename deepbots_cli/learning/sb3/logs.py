@@ -33,7 +33,7 @@ from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.learning.teaching import Plan, Teaching
 from deepbots_cli.plugins import PluginTable
 from deepbots_cli.program.task import Training
-from deepbots_cli.rollout.seats import own_entries, own_name
+from deepbots_cli.rollout.collector import own_entries, own_name
 
 T = TypeVar("T")
 R = TypeVar("R")
