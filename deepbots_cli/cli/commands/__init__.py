@@ -115,10 +115,7 @@ NEEDS: Mapping[str, Mapping[str, str]] = {
     "lint": {"--unsafe-fixes": "--fix --diff"},
     "lsp": {"--for --output": "--schema"},
     "new": {"--kind --task --xacro-arg --copy": "--urdf", "--protos": "--webots"},
-    "replay": {
-        "--tolerance --scenario": "--verify",
-        "--set": "--scenario; changes a scenario, and not the recording",
-    },
+    "replay": {"--tolerance": "--verify"},
     "serve": {
         "--episodes --seed --set --engine --allow-path --allow-code": "--as-robot; belongs to a simulated robot"
     },

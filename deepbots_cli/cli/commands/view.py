@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 import webbrowser
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -14,11 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from deepbots_cli.analysis.changes import Change, Effect, WrittenScenario, scenario_changes
 from deepbots_cli.cli import records, terminal
 from deepbots_cli.cli.command import (
     ADVANCED,
-    SCENARIO,
     Case,
     EngineOrRun,
     Episode,
@@ -39,11 +37,8 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.cli.tables import table
-from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import Permissions
-from deepbots_cli.document.parse import parse
-from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
-from deepbots_cli.program import identity
+from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.rollout.source import RECORDING_SUFFIX
 from deepbots_cli.words import counted, shell_word
 
@@ -283,11 +278,6 @@ def command_replay(
             max=1.0,
         ),
     ] = 0.0,
-    scenario: Annotated[
-        str | None,
-        option("--scenario SCENARIO", "With --verify, run the episodes in this scenario instead.", SCENARIO),
-    ] = None,
-    overrides: Overrides = None,
     as_json: Json = False,
     permissions: Permissions = Permissions(),
 ) -> None:
@@ -310,18 +300,14 @@ def command_replay(
     if not to_verify:
         _list_episodes(opened, recording, as_json=as_json)
         return
-    showing = opened
-    if scenario is not None:
-        showing, changed = _elsewhere(opened, scenario, overrides or (), permissions)
-        notes += changed
-    elif opened.checked().digest != opened_recording.metadata.get("digest"):
+    if opened.checked().digest != opened_recording.metadata.get("digest"):
         notes.append(
             "the scenario in the recording compiles to a different program than when it was recorded: the"
             " file or deepbots has changed"
         )
     for note in notes:
         terminal.note(note)
-    _verify(opened_recording, showing, tolerance, notes, as_json=as_json)
+    _verify(opened_recording, opened, tolerance, notes, as_json=as_json)
 
 
 def _list_episodes(opened: ShowingState, recording: str, *, as_json: bool) -> None:
@@ -411,66 +397,3 @@ def _list_log(path: Path, *, as_json: bool) -> None:
         f"deepbots transfer RUN --log {log}",
     ]
     terminal.show(data, f"{path}: the log of a robot", table(rows), as_json=as_json, next_commands=after)
-
-
-def _elsewhere(
-    opened: ShowingState, scenario: str, overrides: Sequence[str], permissions: Permissions
-) -> tuple[ShowingState, list[str]]:
-    """Return another scenario for the episodes of a recording, and a line for each setting that differs.
-
-    Raises:
-        UsageError: The observation, action or messages differ; the message lists them.
-    """
-    from deepbots_cli.view.episodes import Showing
-
-    recorded = opened.shown
-    other_state = Showing(
-        scenario, overrides, permissions, recorded.engine, recorded.case, recorded.stage
-    ).open()
-    if other_state.program is None or opened.program is None:
-        raise ScenarioError(other_state.findings)
-    differ = identity.differences(opened.program, other_state.program, words=("recording", "scenario"))
-    if differ:
-        raise UsageError(
-            f"the actions of {opened.recording.path} do not fit {scenario}:\n  " + "\n  ".join(differ)
-        )
-    recorded_scenario, other_scenario = (
-        WrittenScenario(program, parse(Source("resolved.yaml", text), Findings()))
-        for program, text in (
-            (opened.program, opened.checked().resolved),
-            (other_state.program, other_state.checked().resolved),
-        )
-    )
-    changes = [
-        change
-        for change in scenario_changes(recorded_scenario, other_scenario)
-        if change.group not in (Effect.cosmetic, Effect.training)
-    ]
-    return other_state, [
-        line for change in changes for line in _told(change, recorded_scenario, other_scenario)
-    ]
-
-
-def _told(change: Change, recorded: WrittenScenario, present: WrittenScenario) -> Iterator[str]:
-    """Yield the setting that differs and its values on both sides; for a section, the keys in it that
-    differ."""
-    if change.through:
-        yield f"{change.path}: {change.by}"
-    elif (change.one, change.other) == (recorded.text_at(change.path), present.text_at(change.path)):
-        yield from _differing(change.path, recorded, present)
-    else:
-        yield (
-            f"{change.path}: recorded {change.one or '(not written)'}, now {change.other or '(not written)'}"
-        )
-
-
-def _differing(path: str, recorded: WrittenScenario, present: WrittenScenario) -> Iterator[str]:
-    texts, names = (
-        (recorded.text_at(path), present.text_at(path)),
-        (recorded.keys_at(path), present.keys_at(path)),
-    )
-    if all(names):
-        for name in dict.fromkeys((*names[0], *names[1])):
-            yield from _differing(f"{path}.{name}", recorded, present)
-    elif texts[0] != texts[1]:
-        yield f"{path}: recorded {texts[0] or '(not written)'}, now {texts[1] or '(not written)'}"
