@@ -28,6 +28,7 @@ from deepbots_cli.document import Document, Permissions
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import BatchError, MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
+from deepbots_cli.program import world_of
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
@@ -306,7 +307,6 @@ def build_batch(
     if program.others is None:
         return _build_batch(program, count, engine, fixed, scripts=program.scripted_rivals)
     from deepbots_cli.codegen import batch_obstacles
-    from deepbots_cli.program import world_of
 
     if reasons := batch_obstacles(program):
         raise BatchError(f"{program.name} does not fit a batch: {'; '.join(reasons)}")
@@ -421,7 +421,6 @@ def build(
     from deepbots_cli.program.identity import digest
 
     if program.others is not None:
-        from deepbots_cli.program import world_of
         from deepbots_cli.runtime.agents import AgentEnvironment
 
         world = build(

@@ -24,9 +24,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
+import ray
+
 from deepbots_cli.cluster.worker import Call, Refusal, Requirements, perform
 from deepbots_cli.cluster.worker_pool import News, WorkerLost
-from deepbots_cli.errors import MissingExtraError, RunError, UsageError
+from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.processes import python_script
 
 _ADDRESS_TIMEOUT_S = 5.0
@@ -52,10 +54,6 @@ class RayCluster:
         self._set_message_if_lost: Callable[[str], None] = lambda text: None
 
     def __enter__(self) -> Self:
-        try:
-            import ray
-        except ModuleNotFoundError:
-            raise MissingExtraError("cluster", "--cluster") from None
         _check_address(self._address)
         if ray.is_initialized():
             raise UsageError("this process uses a Ray cluster already; end it with ray.shutdown()")
@@ -72,8 +70,6 @@ class RayCluster:
         Raises:
             UsageError: Nobody answers, or the cluster has another version of Ray or Python.
         """
-        import ray
-
         stack.callback(ray.shutdown)
         try:
             with (
@@ -96,18 +92,12 @@ class RayCluster:
 
     @property
     def workers(self) -> int:
-        import ray
-
         return max(1, int(ray.cluster_resources().get("CPU", 1)))
 
     def free(self) -> int:
-        import ray
-
         return int(ray.available_resources().get("CPU", 0))
 
     def start(self, kind: Callable[..., Any], *arguments: object) -> Any:
-        import ray
-
         options = {"num_cpus": 1, "max_restarts": 0, "max_task_retries": 0, "scheduling_strategy": "SPREAD"}
         return ray.remote(kind).options(**options).remote(*arguments)
 
@@ -115,24 +105,16 @@ class RayCluster:
         return getattr(worker, method).remote(*arguments)
 
     def share(self, value: object) -> Any:
-        import ray
-
         return ray.put(value)
 
     def end(self, worker: Any) -> None:
-        import ray
-
         ray.kill(worker)
 
     def wait(self, owed: Collection[Any], count: int = 1, timeout_s: float | None = None) -> Sequence[Any]:
-        import ray
-
         ready: Sequence[Any] = ray.wait(list(owed), num_returns=count, timeout=timeout_s)[0]
         return ready
 
     def answer(self, owed: Any) -> Any:
-        import ray
-
         try:
             return ray.get(owed)
         except ray.exceptions.RayTaskError as error:
@@ -148,8 +130,6 @@ class RayCluster:
 
     def check(self) -> None:
         """Check that Ray can answer: its calls may wait forever for a node of this process that was lost."""
-        import ray
-
         here = ray.get_runtime_context().get_node_id()
         if not any(node["Alive"] for node in ray.nodes() if node["NodeID"] == here):
             error = RunError("the Ray node of this process was lost")
@@ -169,8 +149,6 @@ class RayCalls:
     """Calls of functions as Ray tasks."""
 
     def __init__(self, cluster: RayCluster, requirements: Requirements, *, can_stop: bool) -> None:
-        import ray
-
         self._cluster = cluster
         self._requirements = requirements
         for reason in self._unfit_nodes().values():
@@ -188,13 +166,9 @@ class RayCalls:
         return self._perform.options(**self._where).remote(call, self._board)
 
     def cancel(self, owed: Any) -> None:
-        import ray
-
         ray.cancel(owed, force=True)
 
     def news(self, *, stop: bool) -> News:
-        import ray
-
         try:
             return News(*ray.get(self._board.news.remote(stop), timeout=_EXCHANGE_TIMEOUT_S))
         except ray.exceptions.RayError:  # it starts again, unless its node was lost
@@ -218,13 +192,10 @@ class RayCalls:
         return notes
 
     def close(self) -> None:
-        import ray
-
         ray.kill(self._board)
 
     def _unfit_nodes(self) -> dict[str, str]:
         """Return a sentence for each node of a cluster that lacks something."""
-        import ray
         from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
         checks = []
@@ -247,8 +218,6 @@ class RayCalls:
 
 def _nodes() -> dict[str, str]:
     """Return the hosts of the nodes with a CPU for workers, by the identifier of the node."""
-    import ray
-
     nodes = ray.nodes()
     return {
         node["NodeID"]: node["NodeManagerHostname"]
@@ -312,7 +281,6 @@ class _BoardLine:
 def _make_board() -> Any:
     """Return the actor that keeps the newest report of each call. Its class is sent to the worker as it is,
     without an import of deepbots."""
-    import ray
     from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
 
     class Board:

@@ -22,7 +22,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Self, Unpack
 
 from deepbots_cli.api import build as api_build
-from deepbots_cli.cluster.ray_cluster import RayCluster
 from deepbots_cli.cluster.worker import Call, Refusal, Requirements, output_in
 from deepbots_cli.cluster.worker_pool import (
     MAX_LOSSES,
@@ -32,7 +31,7 @@ from deepbots_cli.cluster.worker_pool import (
 )
 from deepbots_cli.compiler.inputs import RESOLVED_NAME
 from deepbots_cli.document import Permissions
-from deepbots_cli.errors import DeepbotsError, RunError, UsageError
+from deepbots_cli.errors import DeepbotsError, MissingExtraError, RunError, UsageError
 from deepbots_cli.learning.executor import UNWATCHED, Attempt, CallOptions, Item, Result
 from deepbots_cli.learning.runs.directories import WORKERS_FOLDER
 from deepbots_cli.learning.runs.run import Run
@@ -46,6 +45,7 @@ from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.words import shell_word
 
 if TYPE_CHECKING:
+    from deepbots_cli.cluster.ray_cluster import RayCluster
     from deepbots_cli.learning.environments import WorldFactory
     from deepbots_cli.program.task import Training
 
@@ -453,6 +453,19 @@ class RemoteShards:
 # The workers
 
 
+def _ray_cluster(address: str) -> RayCluster:
+    """Return a Ray cluster; Ray takes a second to import.
+
+    Raises:
+        MissingExtraError: Ray is not installed.
+    """
+    try:
+        from deepbots_cli.cluster.ray_cluster import RayCluster
+    except ModuleNotFoundError:
+        raise MissingExtraError("cluster", "--cluster") from None
+    return RayCluster(address)
+
+
 class Cluster:
     """Workers for the shards of a training, and for several trainings, evaluations or tests (`map`); a
     context manager.
@@ -471,7 +484,7 @@ class Cluster:
         if workers is not None and not 1 <= workers <= MAX_WORKERS:
             raise UsageError(f"the number of workers must be from 1 to {MAX_WORKERS}, not {workers}")
         self._pool: RayCluster | LocalProcesses = (
-            RayCluster(address) if address is not None else LocalProcesses(workers or 1)
+            _ray_cluster(address) if address is not None else LocalProcesses(workers or 1)
         )
 
     def __enter__(self) -> Self:

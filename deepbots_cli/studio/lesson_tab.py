@@ -6,7 +6,7 @@ import asyncio
 import re
 from functools import partial
 
-from nicegui import run, ui
+from nicegui import app, run, ui
 
 from deepbots_cli.course.grading import Marks, started_in
 from deepbots_cli.course.lessons import Lesson
@@ -145,7 +145,6 @@ class LessonTab:
 
 def _with_pictures(lesson: Lesson) -> str:
     """Return the text of a lesson with addresses of its pictures, which the page of the studio may read."""
-    from nicegui import app
 
     def address(picture: re.Match[str]) -> str:
         return f"]({app.add_media_file(local_file=lesson.folder / picture[1])})"

@@ -23,7 +23,7 @@ from deepbots_cli.errors import EngineError, MissingExtraError, RunError, Scenar
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.files import Stamps, file_stamps, recorded_reads
 from deepbots_cli.learning.runs.episodes import read_log_tail
-from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, RunRecord
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, RunRecord, steps_of
 from deepbots_cli.port import View
 from deepbots_cli.program import RANDOM, ZERO, Program, identity
 from deepbots_cli.records import dataclass
@@ -37,7 +37,7 @@ from deepbots_cli.rollout.drivers import (
     action_from_values,
     named_driver,
 )
-from deepbots_cli.rollout.recordings import RobotLog, is_robot_log
+from deepbots_cli.rollout.recordings import Recording, RobotLog, is_robot_log
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.rollout.worlds import BatchEpisodes
 from deepbots_cli.runtime import Supervisor
@@ -135,7 +135,6 @@ class Showing:
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
-        from deepbots_cli.rollout.recordings import Recording
 
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
             raise UsageError(
@@ -224,7 +223,6 @@ class RunDriver(Driver):
         pass acts in all worlds."""
         try:
             from deepbots_cli.learning.policy import load_model
-            from deepbots_cli.learning.runs.run import steps_of
             from deepbots_cli.rollout.policies import PolicyDriver
         except ModuleNotFoundError as error:
             raise MissingExtraError("train", "showing the policy of a run") from error

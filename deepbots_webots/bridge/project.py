@@ -18,7 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, cast
 
-from deepbots_cli import api
+from deepbots_cli import api, engines
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.codegen.robot import controller_names
@@ -310,7 +310,6 @@ class Project:
 
     def task(self, supervisor: Host) -> Supervisor:
         """Return the environment of the scenario in the world of a Webots supervisor."""
-        from deepbots_cli import engines
 
         engine = engines.create("mujoco", self.world)
         plant = Plant(supervisor, self.world)

@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import deepbots_cli
-from deepbots_cli import api
+from deepbots_cli import api, engines
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.arguments import run_to_export
 from deepbots_cli.cli.written_files import check_new_folder, refuse_links_within, write_new
@@ -42,7 +42,7 @@ from deepbots_webots.bridge.project import (
     lines_of,
     project_of,
 )
-from deepbots_webots.export.world import joint_stops, world_text
+from deepbots_webots.export.world import WorldWriter, joint_stops, world_text
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
@@ -114,7 +114,6 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
         UsageError: The scenario cannot be exported; the message has a sentence for each reason.
         MissingExtraError: MuJoCo is not installed.
     """
-    from deepbots_cli import engines
 
     compiled = api.compile(source, overrides=[*overrides, *OVERRIDES])
     gaps = static_gaps(compiled.program)
@@ -160,7 +159,6 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
     Args:
         policy: The policy as a graph of ONNX, for the supervisor.
     """
-    from deepbots_webots.export.world import WorldWriter
 
     compiled, project = prepared.compiled, prepared.project
     program = compiled.program

@@ -145,6 +145,7 @@ def test_workers_run_without_ray(
     cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
+    monkeypatch.delitem(sys.modules, "deepbots_cli.cluster.ray_cluster")
     monkeypatch.chdir(tmp_path)
     assert main(["test", "cartpole", "find_ball", "--workers", "2"]) == 0
     assert list(cluster.map(imported, ["ray", "deepbots_cli"])) == [False, True]

@@ -14,7 +14,7 @@ import typer
 
 from deepbots_cli import api
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.arguments import run_to_export
+from deepbots_cli.cli.arguments import open_source, run_to_export
 from deepbots_cli.cli.command import (
     ADVANCED,
     EPISODES,
@@ -356,7 +356,6 @@ def command_serve(
         settings: dict[str, Any] = {"speed": speed, "lockstep": lockstep, "log": log, "seconds": seconds}
         _serve_policy(Path(source), transport, trusted=trusted, as_json=as_json, **settings)
         return
-    from deepbots_cli.cli.arguments import open_source
     from deepbots_cli.insight.robot import serve_robot
 
     side = open_source(source, overrides or (), permissions, engine)
@@ -401,9 +400,7 @@ def _serve_policy(
 def _exported_bundle(folder: Path, stack: ExitStack) -> Path:
     """Export the bundle of the best model of a run, or of a named model, into a folder that lasts as long as
     `stack`."""
-    from deepbots_cli.cli.arguments import run_to_export
     from deepbots_cli.insight.export.bundle import bundle_files
-    from deepbots_cli.learning.runs.run import ModelRef
 
     ref = ModelRef.open(folder)
     run = run_to_export(ref.run, agent=None)

@@ -17,7 +17,7 @@ import typer
 from deepbots_cli import api, rollout
 from deepbots_cli.analysis import possible_returns
 from deepbots_cli.cli import arguments, records, terminal
-from deepbots_cli.cli.arguments import OpenedSource, scenario_names
+from deepbots_cli.cli.arguments import OpenedSource, open_source, scenario_names
 from deepbots_cli.cli.command import (
     Case,
     ClusterAddress,
@@ -132,7 +132,6 @@ def command(
             "max_steps": steps,
             "engine": engine,
         }
-        from deepbots_cli.cli.arguments import open_source
         from deepbots_robot.server import report_lines
 
         source = open_source(scenario, overrides or (), permissions, engine)

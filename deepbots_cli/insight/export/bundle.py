@@ -23,7 +23,7 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.statements import render_template
-from deepbots_cli.learning.runs.run import ModelName, Run
+from deepbots_cli.learning.runs.run import ModelName, Run, steps_of
 from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange
@@ -129,7 +129,6 @@ def files_for(run: Run, name: ModelName, reader: str) -> dict[PurePosixPath, byt
 
 def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     """Return the content of bundle.json, without the digests of the files."""
-    from deepbots_cli.learning.runs.run import steps_of
     from deepbots_robot import model
 
     program, record = run.program, run.record

@@ -195,8 +195,6 @@ class EvaluationResult(Summary, frozen=True, allow_inf_nan=False):
     @property
     def by_drawn_value(self) -> DrawnEffects:
         """The effects of drawn values, and success and return in a few parts of the range of each."""
-        from deepbots_cli.learning.runs.evaluations import drawn_effects  # imports numpy
-
         return drawn_effects(self.outcomes, self.draws, self.possible_returns)
 
     @property

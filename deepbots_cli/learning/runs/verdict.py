@@ -25,7 +25,7 @@ from deepbots_cli.learning.runs.episodes import read_evaluations
 from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.order import Measure
 from deepbots_cli.learning.runs.run import ModelRef, QuotedEvaluation, Run, RunRecord, has_model
-from deepbots_cli.learning.runs.statistics import UNBOUNDED, Interval, gate_rate
+from deepbots_cli.learning.runs.statistics import UNBOUNDED, Confirmation, Interval, gate_rate
 from deepbots_cli.program.task import Solved
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout import Episode
@@ -88,7 +88,6 @@ def solved_verdict(
         return SolvedVerdict(False, f"not solved: {', '.join(reasons)}", solved.episodes)
     if number is None:
         return SolvedVerdict(True, f"solved: {', '.join(reasons)}", solved.episodes)
-    from deepbots_cli.learning.runs.statistics import Confirmation
 
     lowest = min(episode.total_return for episode in outcomes)
     highest = max(episode.total_return for episode in outcomes)
