@@ -28,7 +28,7 @@ from deepbots_cli.document import Document, Permissions
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.errors import BatchError, MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.lint import all_findings
-from deepbots_cli.program import world_of
+from deepbots_cli.program import identity, world_of
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.scenario import Scenario
@@ -94,9 +94,7 @@ class Compiled:
     @property
     def digest(self) -> str:
         """SHA-256 of the program as canonical JSON, in hexadecimal."""
-        from deepbots_cli.program.identity import digest
-
-        return digest(self.program)
+        return identity.digest(self.program)
 
 
 def load(
@@ -335,12 +333,11 @@ def _build_batch(
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.names import class_name
-    from deepbots_cli.program.identity import digest
     from deepbots_cli.runtime.copies import make_batch
 
     name = class_name(program.name)
     # The file name is a key of `linecache`, so programs of the same name need different ones.
-    mark = digest(program)[:12]
+    mark = identity.digest(program)[:12]
     of_batch = load_module(
         generate_module(program, "batch", scripts),
         f"deepbots_batch_{name}",
@@ -372,9 +369,7 @@ class Builder:
         return build(self.program, permissions=self.permissions, fixed=self.fixed, **options)
 
     def __repr__(self) -> str:
-        from deepbots_cli.program.identity import digest
-
-        return f"<deepbots scenario {self.program.name} {digest(self.program)[:12]}>"
+        return f"<deepbots scenario {self.program.name} {identity.digest(self.program)[:12]}>"
 
 
 def _policies_of(others: Others) -> dict[str, Predictor]:
@@ -418,7 +413,6 @@ def build(
         raise MissingExtraError("sim", "running a scenario") from error
     from deepbots_cli.codegen import generate_module, load_module
     from deepbots_cli.codegen.names import class_name
-    from deepbots_cli.program.identity import digest
 
     if program.others is not None:
         from deepbots_cli.runtime.agents import AgentEnvironment
@@ -438,7 +432,9 @@ def build(
     engine = engine_kinds.chosen(engine or program.engine)
     name = class_name(program.name)
     module = load_module(
-        generate_module(program), f"deepbots_generated_{name}", f"<deepbots {name} {digest(program)[:12]}>"
+        generate_module(program),
+        f"deepbots_generated_{name}",
+        f"<deepbots {name} {identity.digest(program)[:12]}>",
     )
 
     def make_engine(world: WorldModel) -> Engine:

@@ -1,6 +1,6 @@
 """The marks of many hand-ins: each step in a process of its own, with limits on CPU time, memory, the clock,
-and the size of its folder. A hand-in that hangs, crashes or fills the disk loses that step only. The folder of
-a student who has started a lesson is marked as a hand-in.
+and the size of its folder. A hand-in that hangs, crashes or fills the disk loses that step only. The folder
+of a student who has started a lesson is marked as a hand-in.
 
 Tests and replays give the same marks in every run on machines of one kind. A training is judged by its
 evaluation on starts that nobody knew, whose 95 % interval the marks name.

@@ -1,5 +1,5 @@
-"""Evaluation: a trained policy on held-out episodes, with intervals and a verdict; and match-ups of policies and
-scripts of two agents, all on the same held-out starts.
+"""Evaluation: a trained policy on held-out episodes, with intervals and a verdict; and match-ups of policies
+and scripts of two agents, all on the same held-out starts.
 
 Every player of the first agent meets every player of the second one. Where one agent mirrors the other,
 a player takes both sides: each pair plays every start twice, with the sides swapped.

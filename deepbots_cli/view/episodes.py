@@ -135,7 +135,6 @@ class Showing:
         )
 
     def _open_recording(self, path: Path, *, is_log: bool) -> ShowingState:
-
         if self.overrides or self.case or self.stage or self.engine or self.worlds or self.start:
             raise UsageError(
                 "a recording already contains its scenario, case, stage, engine and start; "

@@ -310,7 +310,6 @@ class Project:
 
     def task(self, supervisor: Host) -> Supervisor:
         """Return the environment of the scenario in the world of a Webots supervisor."""
-
         engine = engines.create("mujoco", self.world)
         plant = Plant(supervisor, self.world)
         mirror = MirrorEngine(engine, plant, self.world)

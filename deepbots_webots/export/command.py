@@ -114,7 +114,6 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
         UsageError: The scenario cannot be exported; the message has a sentence for each reason.
         MissingExtraError: MuJoCo is not installed.
     """
-
     compiled = api.compile(source, overrides=[*overrides, *OVERRIDES])
     gaps = static_gaps(compiled.program)
     _require_none(compiled.program, gaps)
@@ -159,7 +158,6 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
     Args:
         policy: The policy as a graph of ONNX, for the supervisor.
     """
-
     compiled, project = prepared.compiled, prepared.project
     program = compiled.program
     world = re.sub(r"\W+|(?<=[a-z0-9])(?=[A-Z])", "_", program.name).lower()

@@ -92,8 +92,8 @@ class BestModel(BaseModel):
             those of new episodes on average, because they chose it.
         success_rate: None where the scenario defines no success.
         mean_return: None if a person chose it.
-        evaluation_seed: The root seed of starts that did not choose it, where an earlier version chose it after
-            the training.
+        evaluation_seed: The root seed of starts that did not choose it, where an earlier version chose it
+            after the training.
     """
 
     model_config = ConfigDict(frozen=True, strict=True)

@@ -387,7 +387,6 @@ def _ranges(scores: Sequence[Sequence[float]]) -> list[float]:
 
 def _change(means: Sequence[float]) -> int:
     """Return the place, from 1, at which a split into two means leaves the smallest squared error."""
-
     sums = [*accumulate(means)]
 
     def explained(split: int) -> float:
