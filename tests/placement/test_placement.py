@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -61,12 +62,16 @@ reset: {place: {cart: {x: -0.3 m, y: 0 m}, ball: {x: 0.5 m, y: 0.6 m, z: 0.2 m},
 """
 
 
-@pytest.fixture
-def environment(make: Make) -> Supervisor:
-    return make(WORLD)
+def starts(environment: Supervisor, seed: int, count: int) -> Iterator[Supervisor]:
+    """The world at the starts of some episodes that follow one with a seed."""
+    environment.reset(seed=seed)
+    for _ in range(count):
+        environment.reset()
+        yield environment
 
 
-def test_contact_terms_name_what_touches_what(environment: Supervisor) -> None:
+def test_contact_terms_name_what_touches_what(make: Make) -> None:
+    environment = make(WORLD)
     environment.reset(seed=0)
     steps = []
     for _ in range(100):
@@ -101,12 +106,9 @@ def place(environment: Supervisor, body: str) -> tuple[float, float, float]:
 
 
 def test_reductions_go_over_the_copies_that_are_there(make: Make) -> None:
-    environment = make(GROUPED, "reset.layout=scattered")
-    observation, _ = environment.reset(seed=0)
     counts = Counter()
-    for _ in range(60):
-        observation, _ = environment.reset()
-        there = in_units(observation)
+    for environment in starts(make(GROUPED, "reset.layout=scattered"), 0, 60):
+        there = in_units(environment.get_observations())
         number = round(there["crates"])
         cart = place(environment, "cart")
         away = [math.dist(cart, place(environment, f"crate#{index + 1}")) for index in range(number)]
@@ -150,12 +152,9 @@ def test_layouts_are_drawn_in_their_shares(make: Make) -> None:
 def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more(
     make: Make,
 ) -> None:
-    environment = make(GROUPED, "reset.layout=drawn", "parameters.crates=2")
-    environment.reset(seed=0)
     cells = {(-0.8, 0.8), (0.4, 0.0), (0.8, 0.0), (0.4, -0.4), (0.4, -0.8)}
     used = set()
-    for _ in range(40):
-        environment.reset()
+    for environment in starts(make(GROUPED, "reset.layout=drawn", "parameters.crates=2"), 0, 40):
         assert place(environment, "cart") == pytest.approx((-0.4, -0.8, 0.0), abs=1e-9)
         assert place(environment, "flag") == pytest.approx((0.0, 0.8, 0.1), abs=1e-9)
         crates = [
@@ -174,10 +173,8 @@ def test_a_map_puts_each_letter_on_its_cell_and_draws_which_where_there_are_more
 def test_walls_of_a_map_are_there_only_in_its_layout(make: Make) -> None:
     environment = make(GROUPED)
     gap = environment.engine.clearance(("cart", None), ("drawn wall#1", None))
-    environment.reset(seed=0)
     finite = []
-    for _ in range(30):
-        environment.reset()
+    for _ in starts(environment, 0, 30):
         finite.append((math.isfinite(gap()), environment.bodies.present["drawn wall"]))
     assert set(finite) == {(True, 3), (False, 0)}
 
@@ -235,11 +232,8 @@ def patches(environment: Supervisor) -> dict[str, Patch]:
 def test_bodies_keep_their_clearance_from_each_other_and_those_that_move_from_walls(
     make: Make,
 ) -> None:
-    environment = make(PLACED)
     clearances = {"ball": 0.04, "plank": 0.0, "hunter": 0.05, "prey": 0.05, "mark": 0.0}
-    environment.reset(seed=3)
-    for _ in range(40):
-        environment.reset()
+    for environment in starts(make(PLACED), 3, 40):
         laid = patches(environment)
         for name, patch in laid.items():
             for other_name, clearance in clearances.items():
@@ -299,20 +293,14 @@ def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
 
 
 def test_a_grid_gives_the_middles_of_its_cells(make: Make) -> None:
-    environment = make(PLACED)
-    environment.reset(seed=0)
-    for _ in range(20):
-        environment.reset()
+    for environment in starts(make(PLACED), 0, 20):
         (x, y, _), _ = poses_of(environment, "mark")[0]
         assert round((x + 0.6) / 0.2, 6) in range(7)
         assert round((y + 0.5) / 0.2, 6) in range(6)
 
 
 def test_what_is_required_holds_in_every_episode(make: Make) -> None:
-    environment = make(PLACED)
-    environment.reset(seed=1)
-    for _ in range(50):
-        environment.reset()
+    for environment in starts(make(PLACED), 1, 50):
         (hunter, _), (prey, _) = poses_of(environment, "hunter", "prey")
         assert math.dist(hunter[:2], prey[:2]) > 0.5
 
@@ -359,10 +347,9 @@ def test_spots_are_uniform_over_what_is_free(make: Make) -> None:
 def test_a_body_at_coordinates_is_placed_before_those_that_look_for_a_place(
     make: Make,
 ) -> None:
-    environment = make(PLACED, "reset.place.hunter={x: 0.3 m, y: 0 m}", "reset.require=true")
-    environment.reset(seed=0)
-    for _ in range(30):
-        environment.reset()
+    for environment in starts(
+        make(PLACED, "reset.place.hunter={x: 0.3 m, y: 0 m}", "reset.require=true"), 0, 30
+    ):
         laid = patches(environment)
         assert min(patch_distance(laid["hunter"], laid[other]) for other in ("ball", "prey")) >= 0.04 - 1e-6
 
@@ -417,10 +404,7 @@ def on_the_table(environment: Supervisor, body: str) -> tuple[float, float, floa
 
 
 def test_a_block_on_a_raised_table_finds_a_place_and_rests_there(make: Make) -> None:
-    environment = make(TABLE)
-    environment.reset(seed=0)
-    for _ in range(20):
-        environment.reset()
+    for environment in starts(make(TABLE), 0, 20):
         x, y, z = on_the_table(environment, "block")
         assert z == pytest.approx(0.02, abs=1e-9)
         assert abs(x) <= TABLE_HALF[0] - 0.02 - 0.02 + 1e-6
@@ -432,21 +416,15 @@ def test_a_block_on_a_raised_table_finds_a_place_and_rests_there(make: Make) -> 
 
 
 def test_every_part_of_the_top_is_found(make: Make) -> None:
-    environment = make(TABLE)
-    environment.reset(seed=1)
     quarters = set()
-    for _ in range(40):
-        environment.reset()
+    for environment in starts(make(TABLE), 1, 40):
         x, y, _ = on_the_table(environment, "block")
         quarters.add((x > 0.1, x < -0.1, y > 0))
     assert len(quarters) == 6
 
 
 def test_a_region_is_cut_to_the_top(make: Make) -> None:
-    environment = make(TABLE)
-    environment.reset(seed=2)
-    for _ in range(20):
-        environment.reset()
+    for environment in starts(make(TABLE), 2, 20):
         x, y, z = on_the_table(environment, "mug")
         assert environment.engine.pose("mug")()[0][0] >= 0.5
         assert abs(x) <= TABLE_HALF[0] - 0.04 + 1e-6
@@ -462,10 +440,8 @@ def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along
         "reset.place.table={region: {x: -1 .. 1 m, y: -1 .. 1 m}, yaw: any}",
         "reset.place.mug={on: table}",
     )
-    environment.reset(seed=3)
     where = set()
-    for _ in range(10):
-        environment.reset()
+    for _ in starts(environment, 3, 10):
         where.add(round(environment.engine.pose("table")()[0][0], 1))
         for body in ("block", "mug", "crate"):
             x, y, z = on_the_table(environment, body)
@@ -496,13 +472,12 @@ def test_a_body_on_a_table_keeps_clear_of_what_rises_beside_it_and_not_of_what_l
 ) -> None:
     """The crate stands on the ground beside the table, where a body as high as the table would be in nobody's
     way."""
-    environment = make(
-        TABLE, "reset.place.crate={x: 0.5 m, y: -0.2 m, z: 0.05 m}", "reset.place.coin={on: table}"
-    )
-    environment.reset(seed=6)
     spots = []
-    for _ in range(40):
-        environment.reset()
+    for environment in starts(
+        make(TABLE, "reset.place.crate={x: 0.5 m, y: -0.2 m, z: 0.05 m}", "reset.place.coin={on: table}"),
+        6,
+        40,
+    ):
         spots.append(on_the_table(environment, "block")[:2])
         mug = on_the_table(environment, "mug")[:2]
         assert math.dist(spots[-1], mug) >= 0.02 + 0.02 + 0.03 - 1e-6  # half the block, clearance, the mug
@@ -725,13 +700,14 @@ def test_what_turns_in_place_changes_the_ways(make: Make) -> None:
 
 
 def test_a_start_may_be_required_to_have_a_way(make: Make) -> None:
-    environment = make(
-        MAZE,
-        "reset.place.wall={x: 0 m, y: uniform(-0.7 .. 0.7 m)}",
-        "objects.wall.size=2 140 20 cm",
-        "reset.require=reachable(cart, goal)",
-    )
-    observation, _ = environment.reset(seed=0)
-    for _ in range(10):
-        assert observation[1] == 1.0
-        observation, _ = environment.reset()
+    for environment in starts(
+        make(
+            MAZE,
+            "reset.place.wall={x: 0 m, y: uniform(-0.7 .. 0.7 m)}",
+            "objects.wall.size=2 140 20 cm",
+            "reset.require=reachable(cart, goal)",
+        ),
+        0,
+        10,
+    ):
+        assert environment.get_observations()[1] == 1.0

@@ -111,22 +111,26 @@ def test_a_shape_without_size_is_left_out_with_one_warning(tmp_path: Path, shape
     assert file.model.link("base").collisions == ()
 
 
-def test_limits_of_minus_one_are_no_limits(tmp_path: Path):
-    limit = '<limit lower="-1" upper="1" effort="-1.0" velocity="-1"/>'
-    file, findings = opened(tmp_path, robot(*ARM[:2], joint("hinge", "base", "arm", inside=limit)))
+@pytest.mark.parametrize(
+    ("limit", "read", "headlines"),
+    [
+        (
+            'lower="-1" upper="1" effort="-1.0" velocity="-1"',
+            Limit(-1.0, 1.0, None, None),
+            ["a negative limit of effort; deepbots reads it as no limit"],
+        ),
+        ('lower="-1.79769e+308" upper="1.79769e+308" effort="1.79769e+308" velocity="inf"', Limit(), []),
+    ],
+)
+def test_limits_of_minus_one_and_of_the_largest_number_are_no_limits(
+    tmp_path: Path, limit: str, read: Limit, headlines: list[str]
+):
+    file, findings = opened(
+        tmp_path, robot(*ARM[:2], joint("hinge", "base", "arm", inside=f"<limit {limit}/>"))
+    )
     assert file is not None
-    assert file.model.joint("hinge").limit == Limit(-1.0, 1.0, None, None)
-    assert [finding.headline for finding in findings] == [
-        "a negative limit of effort; deepbots reads it as no limit"
-    ]
-
-
-def test_limits_of_the_largest_number_are_no_limits(tmp_path: Path):
-    limit = '<limit lower="-1.79769e+308" upper="1.79769e+308" effort="1.79769e+308" velocity="inf"/>'
-    file, findings = opened(tmp_path, robot(*ARM[:2], joint("hinge", "base", "arm", inside=limit)))
-    assert file is not None
-    assert findings == []
-    assert file.model.joint("hinge").limit == Limit()
+    assert file.model.joint("hinge").limit == read
+    assert [finding.headline for finding in findings] == headlines
 
 
 def test_an_inertia_of_rounding_on_a_tool_frame_is_read(tmp_path: Path):
@@ -325,26 +329,23 @@ def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_
     assert ran.out == "robot.urdf: no findings\n"
 
 
-def test_a_fix_that_is_a_guess_needs_its_option(deepbots: Deepbots, tmp_path: Path):
-    crossed = robot(*ARM).replace('lower="-1" upper="1"', 'lower="1" upper="-1"')
-    (tmp_path / "robot.urdf").write_text(crossed)
-    deepbots("lint", "robot.urdf", "--fix")
-    assert (tmp_path / "robot.urdf").read_text() == crossed
+NEGATIVE = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
 
 
-def test_no_text_of_a_template_is_fixed(deepbots: Deepbots, tmp_path: Path):
-    text = robot(*ARM).replace('effort="5"', 'effort="${-1}"').replace('velocity="5"', 'velocity="-1"')
-    (tmp_path / "robot.urdf.xacro").write_text(text)
-    assert "DB311" in deepbots("lint", "robot.urdf.xacro", "--fix").out
-    assert (tmp_path / "robot.urdf.xacro").read_text() == text
-
-
-def test_the_robot_file_of_a_scenario_is_not_changed_with_it(deepbots: Deepbots, tmp_path: Path):
-    text = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
-    (tmp_path / "robot.urdf").write_text(text)
+@pytest.mark.parametrize(
+    ("file", "text", "linted", "said"),
+    [
+        ("robot.urdf", robot(*ARM).replace('lower="-1" upper="1"', 'lower="1" upper="-1"'), "robot.urdf", ""),
+        ("robot.urdf.xacro", NEGATIVE.replace('effort="5"', 'effort="${-1}"'), "robot.urdf.xacro", "DB311"),
+        ("robot.urdf", NEGATIVE, "t.yaml", "DB311"),
+    ],
+    ids=["a guess without its option", "the text of a template", "the robot file of a scenario"],
+)
+def test_it_is_not_fixed(deepbots: Deepbots, tmp_path: Path, file: str, text: str, linted: str, said: str):
     (tmp_path / "t.yaml").write_text(scenario())
-    assert "DB311" in deepbots("lint", "t.yaml", "--fix").out
-    assert (tmp_path / "robot.urdf").read_text() == text
+    (tmp_path / file).write_text(text)
+    assert said in deepbots("lint", linted, "--fix").out
+    assert (tmp_path / file).read_text() == text
 
 
 def test_a_robot_outside_the_project_is_copied_with_its_meshes_as_the_message_offers(
@@ -428,7 +429,6 @@ def test_a_root_that_is_the_frame_of_the_heavy_link_bolted_to_it_needs_no_mass(t
 # The places where a mesh is looked for, and that nothing outside the allowed folders is opened
 
 
-MESH = b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 MANIFEST = "<?xml version='1.0'?><package><!-- <name>other</name> --><name> {} </name></package>"
 
 
@@ -468,20 +468,20 @@ PLACES = {
 @pytest.mark.parametrize("case", PLACES)
 def test_a_mesh_is_found_in(tmp_path: Path, case: str):
     reference, mesh, manifests = PLACES[case]
-    write(tmp_path, **{"arm/urdf/arm.urdf": "", mesh: MESH})
+    write(tmp_path, **{"arm/urdf/arm.urdf": "", mesh: TETRAHEDRON})
     write(tmp_path, **{path: MANIFEST.format(name) for path, name in manifests.items()})
     assert located(tmp_path / "arm/urdf", reference, tmp_path) == Path(os.path.realpath(tmp_path / mesh))
 
 
 def test_the_nearest_place_with_the_file_counts_and_not_a_namesake_without_it(tmp_path: Path):
-    write(tmp_path, **{"robot/lab/arm/urdf/robot/a.txt": "", "robot/lab/arm/meshes/m.obj": MESH})
+    write(tmp_path, **{"robot/lab/arm/urdf/robot/a.txt": "", "robot/lab/arm/meshes/m.obj": TETRAHEDRON})
     write(tmp_path, **{"robot/lab/arm/package.xml": MANIFEST.format("robot")})
     place = located(tmp_path / "robot/lab/arm/urdf", "package://robot/meshes/m.obj", tmp_path)
     assert place == Path(os.path.realpath(tmp_path / "robot/lab/arm/meshes/m.obj"))
 
 
 def test_of_two_packages_of_one_name_the_nearest_counts(tmp_path: Path):
-    write(tmp_path, **{"arm/urdf/a.urdf": "", "hand/m.obj": MESH, "arm/hand/m.obj": MESH})
+    write(tmp_path, **{"arm/urdf/a.urdf": "", "hand/m.obj": TETRAHEDRON, "arm/hand/m.obj": TETRAHEDRON})
     place = located(tmp_path / "arm/urdf", "package://hand/m.obj", tmp_path)
     assert place == Path(os.path.realpath(tmp_path / "arm/hand/m.obj"))
 
@@ -490,7 +490,7 @@ def test_of_two_packages_of_one_name_the_nearest_counts(tmp_path: Path):
 def test_the_folders_of_ros_count_where_they_are_allowed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str, folder: str
 ):
-    write(tmp_path / "ros" / folder, **{"hand/m.obj": MESH})
+    write(tmp_path / "ros" / folder, **{"hand/m.obj": TETRAHEDRON})
     write(tmp_path / "arm", **{"a.urdf": ""})
     monkeypatch.setenv(variable, f"/nowhere{os.pathsep}{tmp_path / 'ros'}")
     assert located(tmp_path / "arm", "package://hand/m.obj", tmp_path / "ros") is not None
@@ -498,7 +498,7 @@ def test_the_folders_of_ros_count_where_they_are_allowed(
 
 
 def test_the_name_in_a_package_xml_of_100_mb_is_read_from_its_beginning(tmp_path: Path):
-    write(tmp_path, **{"arm/urdf/a.urdf": "", "x/m.obj": MESH, "x/package.xml": "<package>"})
+    write(tmp_path, **{"arm/urdf/a.urdf": "", "x/m.obj": TETRAHEDRON, "x/package.xml": "<package>"})
     with (tmp_path / "x/package.xml").open("r+b") as file:
         file.truncate(100 << 20)
         file.seek(99 << 20)
@@ -507,7 +507,7 @@ def test_the_name_in_a_package_xml_of_100_mb_is_read_from_its_beginning(tmp_path
 
 
 def test_a_link_out_of_the_allowed_folders_is_not_followed(tmp_path: Path):
-    write(tmp_path, **{"secret/m.obj": MESH, "home/arm/a.urdf": ""})
+    write(tmp_path, **{"secret/m.obj": TETRAHEDRON, "home/arm/a.urdf": ""})
     (tmp_path / "home/hand").symlink_to(tmp_path / "secret")
     (tmp_path / "home/arm/m.obj").symlink_to(tmp_path / "secret/m.obj")
     for reference in ("package://hand/m.obj", "m.obj", "package://arm/m.obj", "/x/y/hand/m.obj"):
@@ -518,7 +518,7 @@ def test_one_message_says_how_many_meshes_are_missing_where_they_were_looked_for
     tmp_path: Path,
 ):
     names = [f"m{number}.obj" for number in range(30)]
-    write(tmp_path, **{f"arm/meshes/{name}": MESH for name in names})
+    write(tmp_path, **{f"arm/meshes/{name}": TETRAHEDRON for name in names})
     shapes = "".join(
         f'<visual><geometry><mesh filename="package://arm/meshes/{name}"/></geometry></visual>'
         for name in names
@@ -536,7 +536,10 @@ def test_one_message_says_how_many_meshes_are_missing_where_they_were_looked_for
 
 
 def test_the_whole_clone_is_to_be_allowed_since_its_other_packages_are_there(tmp_path: Path, monkeypatch):
-    write(tmp_path, **{"clone/arm/meshes/m.obj": MESH, "clone/arm/urdf/arm.urdf": "", "clone/.git/HEAD": ""})
+    write(
+        tmp_path,
+        **{"clone/arm/meshes/m.obj": TETRAHEDRON, "clone/arm/urdf/arm.urdf": "", "clone/.git/HEAD": ""},
+    )
     folder = tmp_path / "clone/arm/urdf"
     place = Places(folder, suggests=True).resolve("package://arm/meshes/m.obj")
     assert isinstance(place, UnusableMesh)
@@ -548,7 +551,7 @@ def test_the_whole_clone_is_to_be_allowed_since_its_other_packages_are_there(tmp
 
 
 def test_a_file_of_the_same_name_nearby_is_offered_and_not_taken(tmp_path: Path):
-    write(tmp_path, **{"robot.urdf": "", "assets/body.stl": MESH})
+    write(tmp_path, **{"robot.urdf": "", "assets/body.stl": TETRAHEDRON})
     place = mesh_resolver(tmp_path)("package://body.stl")
     assert isinstance(place, UnusableMesh)
     assert 'write filename="assets/body.stl"' in str(place.help)
@@ -565,8 +568,11 @@ references = st.tuples(
 def test_nothing_outside_the_allowed_folders_is_opened_or_listed(reference: str):
     with tempfile.TemporaryDirectory() as name, pytest.MonkeyPatch.context() as patch:
         top = Path(os.path.realpath(name))
-        write(top, **{"package.xml": MANIFEST.format("arm"), "secret/m.obj": MESH, "secret/package.xml": ""})
-        write(top, **{"home/arm/m.obj": MESH, "home/arm/package.xml": MANIFEST.format("arm")})
+        write(
+            top,
+            **{"package.xml": MANIFEST.format("arm"), "secret/m.obj": TETRAHEDRON, "secret/package.xml": ""},
+        )
+        write(top, **{"home/arm/m.obj": TETRAHEDRON, "home/arm/package.xml": MANIFEST.format("arm")})
         (top / "home/hand").symlink_to(top / "secret")
         touched: list[Path] = []
 
