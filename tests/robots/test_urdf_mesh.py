@@ -16,7 +16,6 @@ import math
 import os
 import re
 import struct
-import zipfile
 from contextlib import closing
 from dataclasses import replace
 from itertools import chain
@@ -72,10 +71,10 @@ def stl(claimed: int, held: int) -> bytes:
     return b"\0" * 80 + struct.pack("<I", claimed) + b"\0" * 50 * held
 
 
-def robot_with(folder: Path, filename: str) -> tuple[RobotFile | None, list[str]]:
+def robot_with(folder: Path, filename: str, scale: str = "1 2 3") -> tuple[RobotFile | None, list[str]]:
     text = f"""<robot name="r"><link name="a">
 <inertial><mass value="1"/><inertia ixx="0.01" iyy="0.01" izz="0.01"/></inertial>
-<visual><geometry><mesh filename="{filename}" scale="1 2 3"/></geometry></visual></link></robot>"""
+<visual><geometry><mesh filename="{filename}" scale="{scale}"/></geometry></visual></link></robot>"""
     (folder / "robot.urdf").write_text(text)
     findings = Findings()
     robot = read(folder / "robot.urdf", "robot.urdf", findings)
@@ -231,6 +230,9 @@ CONTENTS = {
         "an <input> of the COLLADA file lacks its semantic, source or offset",
     ),
     "m.dae": (sheets("m.dae", 1).replace(b"<accessor/>", b""), "refers to no positions"),
+    "fan.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 1_000 + b"\n", "cover each other about"),
+    "zip.obj": (b"PK\x03\x04" + bytes(100), "the mesh is an archive"),
+    "large.stl": (bytes(MAX_BYTES + 1), "the mesh is larger than 32 MiB"),
     "a.ply": (b"ply", "the mesh format '.ply' is not supported"),
     "noext": (b"", "the mesh format '' is not supported"),
 }
@@ -255,18 +257,15 @@ def test_sound_files_of_each_format_pass_and_have_triangles(tmp_path: Path):
         "capitals.stl": b"SOLID X\nFACET NORMAL 0 0 1\nOUTER LOOP\nVERTEX 0 0 0\nVERTEX 1 0 0\nVERTEX 0 1 0\n"
         b"ENDLOOP\nENDFACET\nENDSOLID X\n",
         "d.dae": sheets("d.dae", 1),
+        # PyBullet leaves polygons out, and MuJoCo has them.
+        "p.dae": sheets("p.dae", 1)
+        .replace(b"triangles", b"polylist")
+        .replace(b"<p>", b"<vcount>3</vcount><p>"),
     }
     for name, data in contents.items():
         (tmp_path / name).write_bytes(data)
         robot, headlines = robot_with(tmp_path, name)
         assert (headlines, mesh_triangles(robot.model.links[0].visuals[0].shape).shape[1:]) == ([], (3, 3))
-
-
-def test_a_collada_file_of_polygons_is_sound(tmp_path: Path):
-    """PyBullet leaves them out, and MuJoCo has them."""
-    polygons = sheets("p.dae", 1).replace(b"triangles", b"polylist").replace(b"<p>", b"<vcount>3</vcount><p>")
-    (tmp_path / "p.dae").write_bytes(polygons)
-    assert robot_with(tmp_path, "p.dae")[1] == []
 
 
 @pytest.mark.parametrize("name", ["flat.stl", "flat.obj", "flat.dae"])
@@ -277,11 +276,6 @@ def test_flat_triangles_over_each_other_that_no_renderer_finishes_are_refused(tm
     (tmp_path / name).write_bytes(sheets(name, 2_000))
     (headline,) = robot_with(tmp_path, name)[1]
     assert headline == "the triangles of the mesh cover each other about 1,000 times, and the limit is 100"
-
-
-def test_the_corners_of_one_face_that_repeat_are_refused(tmp_path: Path):
-    (tmp_path / "fan.obj").write_bytes(b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf" + b" 1 2 3" * 1_000 + b"\n")
-    assert "cover each other about" in robot_with(tmp_path, "fan.obj")[1][0]
 
 
 def test_sheets_below_one_another_are_refused_where_the_scale_puts_them_into_one_plane(tmp_path: Path):
@@ -312,18 +306,6 @@ def test_many_triangles_that_do_not_cover_each_other_are_not_a_fault(tmp_path: P
         points + "".join(f"f {k} {k + 1} {k + n + 2} {k + n + 1}\n" for k in squares)
     )
     assert robot_with(tmp_path, "floor.obj")[1] == []
-
-
-def test_an_archive_is_refused_whatever_it_is_called(tmp_path: Path):
-    with zipfile.ZipFile(tmp_path / "m.obj", "w") as archive:
-        archive.writestr("m.obj", TETRAHEDRON)
-    assert robot_with(tmp_path, "m.obj")[1] == ["the mesh is an archive"]
-
-
-def test_a_large_mesh_is_refused(tmp_path: Path):
-    with (tmp_path / "m.stl").open("wb") as file:
-        file.truncate(meshes.MAX_BYTES + 1)
-    assert robot_with(tmp_path, "m.stl")[1] == ["the mesh is larger than 32 MiB"]
 
 
 def test_meshes_stay_inside_the_folder_of_the_robot(tmp_path: Path):
@@ -363,17 +345,14 @@ def test_a_mesh_in_a_folder_above_is_read_with_a_warning_where_that_folder_is_al
         ("gone.obj", "the mesh does not exist"),
         ("http://x.org/m.obj", "deepbots cannot download a mesh from 'http'"),
         ("x" * 5000 + ".obj", "cannot be read"),
+        ("folder.obj", "the mesh is not a regular file"),
+        ("pipe.obj", "the mesh is not a regular file"),
     ],
 )
 def test_a_mesh_that_is_not_there_is_an_error_at_its_name(tmp_path: Path, filename, expected):
+    (tmp_path / "folder.obj").mkdir()
+    os.mkfifo(tmp_path / "pipe.obj")
     assert expected in robot_with(tmp_path, filename)[1][0]
-
-
-def test_a_folder_or_a_pipe_is_not_a_mesh(tmp_path: Path):
-    (tmp_path / "d.obj").mkdir()
-    os.mkfifo(tmp_path / "p.obj")
-    for name in ("d.obj", "p.obj"):
-        assert robot_with(tmp_path, name)[1] == ["the mesh is not a regular file"]
 
 
 def test_a_resolver_limits_which_files_are_read(tmp_path: Path):
@@ -452,7 +431,10 @@ def test_a_stretched_box_is_the_box_of_the_new_size(size, scale, at):
 @settings(max_examples=50)
 @given(sizes, sizes, sizes, sizes)
 def test_a_cylinder_may_grow_in_length_and_in_radius(radius, length, across, along):
-    stretched = model_of(with_scale(robot(Cylinder(radius, length)), "a", (across, across, along)))
+    stretched = model_of(
+        with_scale(robot(Cylinder(radius, length), rpy=(0.1, 0.2, 0.3)), "a", (across, across, along))
+    )
+    assert stretched.joint("j").origin == Pose((0.1 * across, 0.2 * across, 0.3 * along), (0.1, 0.2, 0.3))
     new = Cylinder(radius * across, length * along)
     assert stretched.link("a").collisions[0].shape == new
     assert moments(stretched.link("a").inertial) == pytest.approx(
@@ -470,13 +452,6 @@ def test_every_shape_grows_evenly(shape):
         [32 * value for value in moments(robot(shape).link("a").inertial)[4:]]
     )
     assert stretched.inertial.origin.xyz == (2.0, 4.0, 6.0)
-
-
-def test_child_joints_move_with_the_stretch_and_keep_their_direction():
-    joint = model_of(
-        with_scale(robot(Box((1.0, 1.0, 1.0)), rpy=(0.1, 0.2, 0.3)), "a", (1.0, 2.0, 10.0))
-    ).joint("j")
-    assert joint.origin == Pose((0.1, 0.4, 3.0), (0.1, 0.2, 0.3))
 
 
 def test_a_shape_turned_by_a_right_angle_is_scaled_along_its_own_axes():
@@ -633,29 +608,31 @@ def test_a_ball_of_triangles_weighs_nearly_what_a_sphere_does(tmp_path: Path) ->
     assert inertial.origin.xyz == pytest.approx((0.0, 0.0, 0.0), abs=1e-12)
 
 
-def test_a_turned_block_has_the_inertia_of_a_turned_box(tmp_path: Path) -> None:
-    inertial = weighed(
-        one_shape(
-            mesh(tmp_path, "block.obj", block("block.obj", (0.1, 0.2, 0.3))),
-            Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2)),
-        )
-    )
-    expected = homogeneous_inertial(Box((0.2, 0.1, 0.3)), WOOD_DENSITY * 0.006)
-    assert mass_and_matrix(inertial) == pytest.approx(mass_and_matrix(expected), abs=1e-12)
+BLOCK = block("block.obj", (0.1, 0.2, 0.3))
+TURNED = Pose((0.0, 0.0, 0.0), (0.0, 0.0, math.pi / 2))
 
 
-def test_a_mesh_that_is_inside_out_weighs_the_same(tmp_path: Path) -> None:
-    inside_out = block("block.obj", (0.1, 0.2, 0.3), outward=False)
-    assert weighed(one_shape(mesh(tmp_path, "block.obj", inside_out))).mass == pytest.approx(
-        WOOD_DENSITY * 0.006
-    )
-
-
-def test_an_open_mesh_weighs_as_much_as_its_convex_hull(tmp_path: Path) -> None:
-    open_box = b"\n".join(block("block.obj", (0.1, 0.2, 0.3)).splitlines()[:-1])
-    assert weighed(one_shape(mesh(tmp_path, "block.obj", open_box))).mass == pytest.approx(
-        WOOD_DENSITY * 0.1 * 0.2 * 0.3
-    )
+@pytest.mark.parametrize(
+    ("data", "origin", "scale", "size"),
+    [
+        (BLOCK, TURNED, (1.0, 1.0, 1.0), (0.2, 0.1, 0.3)),
+        (BLOCK, Pose(), (1.0, 1.0, 2.0), (0.1, 0.2, 0.6)),
+        (block("block.obj", (0.1, 0.2, 0.3), outward=False), Pose(), (1.0, 1.0, 1.0), (0.1, 0.2, 0.3)),
+        # Its convex hull counts.
+        (b"\n".join(BLOCK.splitlines()[:-1]), Pose(), (1.0, 1.0, 1.0), (0.1, 0.2, 0.3)),
+    ],
+    ids=["turned", "stretched", "inside out", "open"],
+)
+def test_a_block_has_the_mass_and_the_inertia_of_its_box(
+    tmp_path: Path,
+    data: bytes,
+    origin: Pose,
+    scale: tuple[float, float, float],
+    size: tuple[float, float, float],
+) -> None:
+    model = with_scale(one_shape(mesh(tmp_path, "block.obj", data), origin), "a", scale)
+    expected = homogeneous_inertial(Box(size), WOOD_DENSITY * math.prod(size))
+    assert mass_and_matrix(weighed(model_of(model))) == pytest.approx(mass_and_matrix(expected), abs=1e-12)
 
 
 def test_a_flat_mesh_has_no_mass(tmp_path: Path) -> None:
@@ -676,13 +653,6 @@ def test_shapes_in_closed_form_are_weighed_at_once() -> None:
 
 def test_a_link_without_a_volume_is_an_error_that_says_why(tmp_path: Path) -> None:
     assert "has no shape" in str(with_density(RobotModel("r", (Link("a"),), (), "a"), "a", WOOD_DENSITY))
-
-
-def test_a_stretched_mesh_weighs_more(tmp_path: Path) -> None:
-    model = one_shape(mesh(tmp_path, "block.stl", block("block.stl", (0.1, 0.2, 0.3))))
-    long = with_scale(model, "a", (1.0, 1.0, 2.0))
-    assert isinstance(long, RobotModel)
-    assert weighed(long).mass == pytest.approx(2.0 * weighed(model).mass)
 
 
 ROOT = Path(__file__).parents[2]
@@ -782,18 +752,6 @@ def glb(document: dict[str, Any] = DOCUMENT, buffer: bytes = POINTS) -> bytes:
     return struct.pack("<4sII", b"glTF", 2, 12 + len(body)) + body
 
 
-def with_mesh(folder: Path, name: str) -> tuple[Mesh | None, list[str]]:
-    text = (
-        '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1"/></inertial>'
-        f'<collision><geometry><mesh filename="{name}"/></geometry></collision></link></robot>'
-    )
-    (folder / "r.urdf").write_text(text)
-    findings = Findings()
-    robot = read(folder / "r.urdf", "r.urdf", findings)
-    shape = robot.model.links[0].collisions[0].shape if robot else None
-    return shape if isinstance(shape, Mesh) else None, [finding.headline for finding in findings]
-
-
 @pytest.mark.parametrize("suffix", ["glb", "gltf"])
 def test_a_file_of_trimesh_gives_its_triangles(tmp_path: Path, suffix: str):
     scene = trimesh.Scene()
@@ -805,9 +763,9 @@ def test_a_file_of_trimesh_gives_its_triangles(tmp_path: Path, suffix: str):
     else:
         for name, content in scene.export(file_type="gltf").items():
             (tmp_path / name.replace("model.gltf", "m.gltf")).write_bytes(content)
-    mesh, headlines = with_mesh(tmp_path, f"m.{suffix}")
+    robot, headlines = robot_with(tmp_path, f"m.{suffix}", "1 1 1")
     assert headlines == []
-    assert mesh is not None
+    mesh = robot.model.links[0].visuals[0].shape
     expected = scene.to_mesh()
     corners = mesh_triangles(mesh)
     assert corners.shape == expected.triangles.shape
@@ -879,9 +837,8 @@ FAULTS = {
 @pytest.mark.parametrize("case", FAULTS)
 def test_a_glb_file_that_would_hurt_is_one_finding(tmp_path: Path, case: str):
     (tmp_path / "m.glb").write_bytes(FAULTS[case])
-    mesh, headlines = with_mesh(tmp_path, "m.glb")
-    assert mesh is None
-    assert len(headlines) == 1
+    robot, headlines = robot_with(tmp_path, "m.glb")
+    assert (robot, len(headlines)) == (None, 1)
 
 
 @pytest.mark.parametrize(
