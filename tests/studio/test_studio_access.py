@@ -304,7 +304,7 @@ def test_only_the_page_and_the_two_sockets_of_the_robot_are_passed_on():
 # Files
 
 
-def test_no_file_outside_of_the_folder_is_opened(tmp_path):
+async def test_no_file_outside_of_the_folder_is_opened(tmp_path):
     folder = tmp_path / "mine"
     (folder / "within").mkdir(parents=True)
     for path in (
@@ -322,52 +322,46 @@ def test_no_file_outside_of_the_folder_is_opened(tmp_path):
     (folder / "text.yaml").symlink_to("/etc/passwd")
     os.mkfifo(folder / "pipe.yaml")
 
-    async def run() -> None:
-        session = Session(folder)
-        for name in (
-            tmp_path / "other.yaml",
-            "../other.yaml",
-            "within/../../other.yaml",
-            "../mine-too/c.yaml",
-            "link.yaml",
-            "out/other.yaml",
-            "loop.yaml",
-            "text.yaml",
-            "pipe.yaml",
-            "key.txt",
-            "/etc/passwd",
-            "/dev/zero",
-            "none.yaml",
-            "within",
-            "a.yaml\0",
-        ):
-            with pytest.raises(UsageError):
-                session.open(Path(name))
-        assert {path.name for path in session.scenarios()} >= {"a.yaml", "b.yaml"}
-        assert not {path.name for path in session.scenarios()} & {"link.yaml", "other.yaml", "text.yaml"}
-        assert session.open(Path("within/b.yaml")).path == folder / "within" / "b.yaml"
-        await session.close()
-
-    asyncio.run(run())
+    session = Session(folder)
+    for name in (
+        tmp_path / "other.yaml",
+        "../other.yaml",
+        "within/../../other.yaml",
+        "../mine-too/c.yaml",
+        "link.yaml",
+        "out/other.yaml",
+        "loop.yaml",
+        "text.yaml",
+        "pipe.yaml",
+        "key.txt",
+        "/etc/passwd",
+        "/dev/zero",
+        "none.yaml",
+        "within",
+        "a.yaml\0",
+    ):
+        with pytest.raises(UsageError):
+            session.open(Path(name))
+    assert {path.name for path in session.scenarios()} >= {"a.yaml", "b.yaml"}
+    assert not {path.name for path in session.scenarios()} & {"link.yaml", "other.yaml", "text.yaml"}
+    assert session.open(Path("within/b.yaml")).path == folder / "within" / "b.yaml"
+    await session.close()
 
 
-def test_what_a_scenario_may_not_read_is_not_opened(tmp_path):
+async def test_what_a_scenario_may_not_read_is_not_opened(tmp_path):
     folder = tmp_path / "mine"
     folder.mkdir()
     (folder / "pyproject.toml").touch()
     (tmp_path / "other.yaml").write_text(SCENARIO, encoding="utf-8")
     (folder / "a.yaml").write_text("deepbots: 1\nextends: ../other.yaml\n", encoding="utf-8")
 
-    async def run() -> None:
-        session = Session(folder)
-        file = session.open(Path("a.yaml"))
-        await _until(lambda: session.language.checked_revision(file.path) == file.revision)
-        assert session.language.has_errors(file.path)
-        with pytest.raises(UsageError, match="opens no other files"):
-            session.open(Path("../other.yaml"))
-        await session.close()
-
-    asyncio.run(run())
+    session = Session(folder)
+    file = session.open(Path("a.yaml"))
+    await _until(lambda: session.language.checked_revision(file.path) == file.revision)
+    assert session.language.has_errors(file.path)
+    with pytest.raises(UsageError, match="opens no other files"):
+        session.open(Path("../other.yaml"))
+    await session.close()
 
 
 async def _until(condition, seconds: float = 20.0) -> None:
@@ -381,19 +375,16 @@ async def _until(condition, seconds: float = 20.0) -> None:
 
 
 @pytest.mark.parametrize("code", [False, True])
-def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_path, code):
+async def test_functions_of_packages_are_called_only_if_the_server_was_started_so(tmp_path, code):
     (tmp_path / "a.yaml").write_text(SCENARIO, encoding="utf-8")
     allowed = tmp_path / "other"
 
-    async def run() -> None:
-        session = Session(tmp_path, Permissions((allowed,), code=code))
-        task = session.commands.run(["try", "none.yaml"])
-        assert ("--allow-code" in task.record.words) == code
-        assert f"--allow-path={allowed}" in task.record.words
-        await _until(lambda: not task.is_running)
-        await session.close()
-
-    asyncio.run(run())
+    session = Session(tmp_path, Permissions((allowed,), code=code))
+    task = session.commands.run(["try", "none.yaml"])
+    assert ("--allow-code" in task.record.words) == code
+    assert f"--allow-path={allowed}" in task.record.words
+    await _until(lambda: not task.is_running)
+    await session.close()
 
 
 @pytest.mark.parametrize(
@@ -412,35 +403,29 @@ def test_a_command_gets_the_permissions_of_the_server_that_it_has_options_for(
     assert {option.partition("=")[0] for option in commands.permission_options(verb)} == options
 
 
-def test_commands_that_start_at_once_write_into_different_places(tmp_path):
-    async def run() -> None:
-        session = Session(tmp_path)
-        first, second = (session.commands.train("none.yaml") for _ in range(2))
-        assert first.record.run != second.record.run
-        videos = [
-            session.commands.run_with_output(["render", "none"], Path("runs", "a-1"), "video.mp4")
-            for _ in range(2)
-        ]
-        assert videos[0].record.output != videos[1].record.output
-        for task in (first, second, *videos):  # each would import deepbots, to find no scenario
-            task.stop()
-        await _until(lambda: not any(task.is_running for task in (first, second, *videos)))
-        await session.close()
-
-    asyncio.run(run())
+async def test_commands_that_start_at_once_write_into_different_places(tmp_path):
+    session = Session(tmp_path)
+    first, second = (session.commands.train("none.yaml") for _ in range(2))
+    assert first.record.run != second.record.run
+    videos = [
+        session.commands.run_with_output(["render", "none"], Path("runs", "a-1"), "video.mp4")
+        for _ in range(2)
+    ]
+    assert videos[0].record.output != videos[1].record.output
+    for task in (first, second, *videos):  # each would import deepbots, to find no scenario
+        task.stop()
+    await _until(lambda: not any(task.is_running for task in (first, second, *videos)))
+    await session.close()
 
 
-def test_the_name_of_a_file_is_no_option(tmp_path):
+async def test_the_name_of_a_file_is_no_option(tmp_path):
     (tmp_path / "--allow-code.yaml").write_text(SCENARIO, encoding="utf-8")
     (tmp_path / "runs" / "a_b-1").mkdir(parents=True)
 
-    async def run() -> None:
-        session = Session(tmp_path)
-        session.current = session.open(Path("--allow-code.yaml")).path
-        assert session.saved_name() == "./--allow-code.yaml"
-        await session.close()
-
-    asyncio.run(run())
+    session = Session(tmp_path)
+    session.current = session.open(Path("--allow-code.yaml")).path
+    assert session.saved_name() == "./--allow-code.yaml"
+    await session.close()
 
 
 def test_stop_ends_no_process_of_a_record_from_elsewhere(tmp_path):
@@ -536,22 +521,6 @@ def test_a_running_studio_refuses_the_same(tmp_path):
 
 
 TEXTS = st.text(alphabet="ab \n:#é\U0001f600", max_size=40)
-CART = """# A cart with a pole.
-deepbots: 1
-name: Mine  # the title
-parameters:
-  fall_angle: 15 deg  # the largest lean
-  speed: 5 rad/s
-
-  # of the cart
-  cart_mass: 1 kg
-world: {timestep: 32 ms,   substeps: 4}  # half of it is too fast
-reward:
-  alive: 1
-  # a small cost
-  effort: -0.1 * drive^2
-truncation: {max_steps: 100}
-"""
 
 
 @given(TEXTS, TEXTS)

@@ -19,7 +19,8 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean
@@ -71,10 +72,10 @@ class Running:
         self.topics: list[str] = []
         self.notices: list[str] = []
 
-    async def __aenter__(self) -> Running:
+    async def __aenter__(self) -> tuple[Running, Session]:
         self.session.listen(self._heard)
         self._task = asyncio.create_task(self.session.run_forever())
-        return self
+        return self, self.session
 
     async def __aexit__(self, *error: object) -> None:
         self._task.cancel()
@@ -119,87 +120,75 @@ def _writes(session: Session, text: str) -> None:
     session.save(file)
 
 
-def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
+async def test_findings_follow_the_text_and_the_files_that_it_reads(folder):
     (folder / "base.yaml").write_text("reward:\n  alive: 1\n", encoding="utf-8")
     text = SCENARIO.replace("reward:\n  alive: 1\n", "extends: base.yaml\n")
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            file = session.open(Path("mine.yaml"))
-            session.current = file.path
-            await running.checked(file.path)
-            assert not session.language.has_errors(file.path)
-            session.change(file, file.revision, text.replace("15 deg", "15 parsec"))
-            await running.checked(file.path)
-            (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
-            assert finding.place == "4:18"
-            assert "parsec" in finding.message
-            session.change(file, file.revision, text.replace("15 deg", "15 kg"))
-            await running.checked(file.path)
-            (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
-            assert finding.message.endswith("; used here: line 21")
-            with pytest.raises(UsageError, match="the scenario has errors"):
-                session.saved_name()
-            (folder / "other.yaml").write_text(SCENARIO, encoding="utf-8")
-            base, other = (session.open(Path(name)) for name in ("base.yaml", "other.yaml"))
-            for each, typed in ((file, text), (base, "reward:\n  alive: 2\n"), (other, "# typed\n")):
-                session.change(each, each.revision, typed)
+    async with Running(folder) as (running, session):
+        file = session.open(Path("mine.yaml"))
+        session.current = file.path
+        await running.checked(file.path)
+        assert not session.language.has_errors(file.path)
+        session.change(file, file.revision, text.replace("15 deg", "15 parsec"))
+        await running.checked(file.path)
+        (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
+        assert finding.place == "4:18"
+        assert "parsec" in finding.message
+        session.change(file, file.revision, text.replace("15 deg", "15 kg"))
+        await running.checked(file.path)
+        (finding,) = (each for each in session.language.findings(file.path) if each.severity == "error")
+        assert finding.message.endswith("; used here: line 21")
+        with pytest.raises(UsageError, match="the scenario has errors"):
             session.saved_name()
-            assert [each.path.read_text() for each in (file, base, other)] == [text, base.text, SCENARIO]
-            # Another program damages the file that the scenario reads.
-            (folder / "base.yaml").write_text("reward:\n  alive: 1 parsec\n", encoding="utf-8")
-            await running.until(lambda: session.language.has_errors(file.path))
-
-    asyncio.run(run())
-
-
-def test_a_late_request_for_completions_does_not_hide_findings(folder):
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            file = session.open(Path("mine.yaml"))
-            await running.checked(file.path)
-            words = SCENARIO.replace("alive: 1", "alive: 1 + q")
-            for text in (words, words.replace("+ q", "+ qq")):
-                session.change(file, file.revision, text)
-            # The browser sent it before the second letter; it arrives after it.
-            session.language.complete(file.path, words, 17, 14)
-            await running.checked(file.path)
-            assert "qq" in session.language.findings(file.path)[0].message
-
-    asyncio.run(run())
+        (folder / "other.yaml").write_text(SCENARIO, encoding="utf-8")
+        base, other = (session.open(Path(name)) for name in ("base.yaml", "other.yaml"))
+        for each, typed in ((file, text), (base, "reward:\n  alive: 2\n"), (other, "# typed\n")):
+            session.change(each, each.revision, typed)
+        session.saved_name()
+        assert [each.path.read_text() for each in (file, base, other)] == [text, base.text, SCENARIO]
+        # Another program damages the file that the scenario reads.
+        (folder / "base.yaml").write_text("reward:\n  alive: 1 parsec\n", encoding="utf-8")
+        await running.until(lambda: session.language.has_errors(file.path))
 
 
-def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            file = session.files[session.current]
-            lines = session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
-            assert [file.text.split("\n")[line] for line in lines] == [
-                "    links: {pole: {scale: 1 1 2}}",
-                "  bonus: 0.1",
-            ]
-            session.write_values({"reward.bonus": "", "robots.cart.links.pole": ""})
-            assert file.text == SCENARIO
-            with pytest.raises(UsageError, match="these values already"):
-                session.write_values({"reward.bonus": ""})
-            revision = file.revision
-            with pytest.raises(UsageError, match="has no place for"):
-                session.write_values({"reward.bonus": "0.2", "name.first": "3"})
-            assert (file.text, file.revision) == (SCENARIO, revision)
-            session.timesteps = "512"  # which would override the next value
-            session.write_values({"train.total_timesteps": "1_024"})
-            assert session.timesteps == ""
+async def test_a_late_request_for_completions_does_not_hide_findings(folder):
+    async with Running(folder) as (running, session):
+        file = session.open(Path("mine.yaml"))
+        await running.checked(file.path)
+        words = SCENARIO.replace("alive: 1", "alive: 1 + q")
+        for text in (words, words.replace("+ q", "+ qq")):
+            session.change(file, file.revision, text)
+        # The browser sent it before the second letter; it arrives after it.
+        session.language.complete(file.path, words, 17, 14)
+        await running.checked(file.path)
+        assert "qq" in session.language.findings(file.path)[0].message
 
-    asyncio.run(run())
+
+async def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(folder):
+    async with Running(folder) as (_, session):
+        session.show(Path("mine.yaml"))
+        file = session.files[session.current]
+        lines = session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
+        assert [file.text.split("\n")[line] for line in lines] == [
+            "    links: {pole: {scale: 1 1 2}}",
+            "  bonus: 0.1",
+        ]
+        session.write_values({"reward.bonus": "", "robots.cart.links.pole": ""})
+        assert file.text == SCENARIO
+        with pytest.raises(UsageError, match="these values already"):
+            session.write_values({"reward.bonus": ""})
+        revision = file.revision
+        with pytest.raises(UsageError, match="has no place for"):
+            session.write_values({"reward.bonus": "0.2", "name.first": "3"})
+        assert (file.text, file.revision) == (SCENARIO, revision)
+        session.timesteps = "512"  # which would override the next value
+        session.write_values({"train.total_timesteps": "1_024"})
+        assert session.timesteps == ""
 
 
 @pytest.mark.slow
-def test_a_run_says_what_it_changed_against_the_one_before(folder):
+async def test_a_run_says_what_it_changed_against_the_one_before(folder):
     texts = (SCENARIO, SCENARIO.replace("alive: 1", "alive: 2").replace("15 deg", "12 deg"))
     for number, text in enumerate(texts):
         (folder / "mine.yaml").write_text(text, encoding="utf-8")
@@ -212,110 +201,97 @@ def test_a_run_says_what_it_changed_against_the_one_before(folder):
             capture_output=True,
         )
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            await running.until(lambda: len(running.session.run_changes) == 2)
-            changes = running.session.run_changes
-            first, second = (changes[folder / "runs" / name] for name in ("0", "1"))
-            assert first.text == "first run"
-            expected = "reward.alive 1 -> 2; fall_angle 15 deg -> 12 deg; timesteps 512 -> 1_024; and 1 more"
-            assert second.text == expected
-            assert second.started >= first.started > 0
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        await running.until(lambda: len(session.run_changes) == 2)
+        changes = session.run_changes
+        first, second = (changes[folder / "runs" / name] for name in ("0", "1"))
+        assert first.text == "first run"
+        expected = "reward.alive 1 -> 2; fall_angle 15 deg -> 12 deg; timesteps 512 -> 1_024; and 1 more"
+        assert second.text == expected
+        assert second.started >= first.started > 0
 
 
-def test_a_saved_text_and_a_changed_parameter_are_those_of_the_robot(folder):
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            robot = session.robot
-            await running.runs()
-            assert robot.state.parameters == {"fall_angle": "15 deg"}
+async def test_a_saved_text_and_a_changed_parameter_are_those_of_the_robot(folder):
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        robot = session.robot
+        await running.runs()
+        assert robot.state.parameters == {"fall_angle": "15 deg"}
 
-            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
-            await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
-            assert robot.state.state == "running"
-            assert running.notices == ["the robot has started again, with fall_angle 15 deg → 20 deg"]
+        _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+        await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
+        assert robot.state.state == "running"
+        assert running.notices == ["the robot has started again, with fall_angle 15 deg → 20 deg"]
 
-            # A parameter changes in the running world, and is written into the text on request.
-            session.robot.set_parameter("fall_angle", "0.3 rad")
-            await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
-            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
-            # A mistyped one is refused, and is no error in the files.
-            session.robot.set_parameter("fall_angle", "5 kg")
-            await running.until(lambda: "fall_angle = 5 kg is refused: " in robot.state.note)
-            assert (robot.state.state, robot.state.changed) == ("running", {"fall_angle": "0.3 rad"})
-            file = session.files[folder / "mine.yaml"]
-            assert not file.is_modified
-            assert session.write_values({"parameters.fall_angle": "0.3 rad"}) == [3]
-            assert "  fall_angle: 0.3 rad  # the largest lean\n" in file.text
-            # The text wins once it is saved with another value.
-            _writes(session, file.text.replace("0.3 rad", "0.4 rad"))
-            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.4 rad"})
-            assert robot.state.changed == {}
-            # A save of something else keeps a changed parameter.
-            session.robot.set_parameter("fall_angle", "0.2 rad")
-            await running.until(lambda: robot.state.parameters == {"fall_angle": "0.2 rad"})
-            _writes(session, file.text.replace("alive: 1", "alive: 2"))
-            loaded = robot.state.loaded
-            await running.until(lambda: robot.state.loaded > loaded)
-            assert robot.state.parameters == {"fall_angle": "0.2 rad"}
-
-    asyncio.run(run())
+        # A parameter changes in the running world, and is written into the text on request.
+        session.robot.set_parameter("fall_angle", "0.3 rad")
+        await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
+        await running.until(lambda: robot.state.parameters == {"fall_angle": "0.3 rad"})
+        # A mistyped one is refused, and is no error in the files.
+        session.robot.set_parameter("fall_angle", "5 kg")
+        await running.until(lambda: "fall_angle = 5 kg is refused: " in robot.state.note)
+        assert (robot.state.state, robot.state.changed) == ("running", {"fall_angle": "0.3 rad"})
+        file = session.files[folder / "mine.yaml"]
+        assert not file.is_modified
+        assert session.write_values({"parameters.fall_angle": "0.3 rad"}) == [3]
+        assert "  fall_angle: 0.3 rad  # the largest lean\n" in file.text
+        # The text wins once it is saved with another value.
+        _writes(session, file.text.replace("0.3 rad", "0.4 rad"))
+        await running.until(lambda: robot.state.parameters == {"fall_angle": "0.4 rad"})
+        assert robot.state.changed == {}
+        # A save of something else keeps a changed parameter.
+        session.robot.set_parameter("fall_angle", "0.2 rad")
+        await running.until(lambda: robot.state.parameters == {"fall_angle": "0.2 rad"})
+        _writes(session, file.text.replace("alive: 1", "alive: 2"))
+        loaded = robot.state.loaded
+        await running.until(lambda: robot.state.loaded > loaded)
+        assert robot.state.parameters == {"fall_angle": "0.2 rad"}
 
 
-def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opened(folder):
+async def test_another_scenario_is_shown_by_the_same_process_until_one_cannot_be_opened(folder):
     (folder / "other.yaml").write_text(SCENARIO.replace("15 deg", "20 deg"), encoding="utf-8")
     (folder / "broken.yaml").write_text(SCENARIO.replace("15 deg", "15 parsec"), encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            session, robot = running.session, running.session.robot
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            pid, address = running.robot_pid, robot.address
-            robot.set_parameter("fall_angle", "0.3 rad")
-            await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
+    async with Running(folder) as (running, session):
+        robot = session.robot
+        session.show(Path("mine.yaml"))
+        await running.runs()
+        pid, address = running.robot_pid, robot.address
+        robot.set_parameter("fall_angle", "0.3 rad")
+        await running.until(lambda: robot.state.changed == {"fall_angle": "0.3 rad"})
 
-            robot.show(folder / "other.yaml", "zero")
-            assert (robot.state, robot.address) == (None, address)
-            await running.runs()
-            assert (robot.state.driver, robot.state.changed, robot.state.parameters) == (
-                "zero",
-                {},
-                {"fall_angle": "20 deg"},
-            )
+        robot.show(folder / "other.yaml", "zero")
+        assert (robot.state, robot.address) == (None, address)
+        await running.runs()
+        assert (robot.state.driver, robot.state.changed, robot.state.parameters) == (
+            "zero",
+            {},
+            {"fall_angle": "20 deg"},
+        )
 
-            session.shown.show_robot(folder / "broken.yaml")
-            await running.until(lambda: robot.state is not None)
-            assert robot.state.state == "errors"
+        session.shown.show_robot(folder / "broken.yaml")
+        await running.until(lambda: robot.state is not None)
+        assert robot.state.state == "errors"
 
-            session.shown.show_robot(folder / "other.yaml")
-            await running.runs()
-            assert (running.robot_pid, robot.address, robot.state.driver) == (pid, address, "random")
+        session.shown.show_robot(folder / "other.yaml")
+        await running.runs()
+        assert (running.robot_pid, robot.address, robot.state.driver) == (pid, address, "random")
 
-            session.shown.show_robot(folder / "runs" / "gone")
-            await running.until(lambda: robot.problem)
-            assert "gone" in robot.problem
-            session.shown.show_robot(folder / "mine.yaml")
-            await running.runs()
-
-    asyncio.run(run())
+        session.shown.show_robot(folder / "runs" / "gone")
+        await running.until(lambda: robot.problem)
+        assert "gone" in robot.problem
+        session.shown.show_robot(folder / "mine.yaml")
+        await running.runs()
 
 
-def test_a_correct_file_without_a_start_is_not_said_to_have_errors(folder: Path) -> None:
+async def test_a_correct_file_without_a_start_is_not_said_to_have_errors(folder: Path) -> None:
     (folder / "mine.yaml").write_text(SCENARIO.replace("15 deg", "15 parsec"), encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            running.session.show(Path("mine.yaml"))
-            await running.until(lambda: "the file has errors" in robot_text(running.session))
-            _writes(running.session, f"{SCENARIO}reset: {{require: position(cart).x > 5 m, attempts: 3}}\n")
-            await running.until(lambda: "no start was found in 3 attempts" in robot_text(running.session))
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        await running.until(lambda: "the file has errors" in robot_text(session))
+        _writes(session, f"{SCENARIO}reset: {{require: position(cart).x > 5 m, attempts: 3}}\n")
+        await running.until(lambda: "no start was found in 3 attempts" in robot_text(session))
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -332,140 +308,117 @@ def test_the_process_of_the_robot_ends_with_a_studio_that_was_killed(folder: Pat
 
 
 @pytest.mark.slow
-def test_a_crashed_robot_is_named_and_started_again(folder):
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            for number in range(3):
-                await running.until(lambda: session.robot._process is not None)
-                pid = running.robot_pid
-                os.kill(pid, signal.SIGKILL)
-                await running.until(lambda number=number: session.robot.crashes == number + 1)
-            await running.until(lambda: "ended 3 times" in session.robot.problem)
-            assert "ended (signal 9); it was started again" in running.notices[0]
-            # The next save starts it again.
-            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
-            await running.runs()
-
-    asyncio.run(run())
+async def test_a_crashed_robot_is_named_and_started_again(folder):
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        await running.runs()
+        for number in range(3):
+            await running.until(lambda: session.robot._process is not None)
+            pid = running.robot_pid
+            os.kill(pid, signal.SIGKILL)
+            await running.until(lambda number=number: session.robot.crashes == number + 1)
+        await running.until(lambda: "ended 3 times" in session.robot.problem)
+        assert "ended (signal 9); it was started again" in running.notices[0]
+        # The next save starts it again.
+        _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+        await running.runs()
 
 
-def test_a_robot_that_takes_long_to_load_is_shown_as_soon_as_it_is_loaded(folder, monkeypatch):
+async def test_a_robot_that_takes_long_to_load_is_shown_as_soon_as_it_is_loaded(folder, monkeypatch):
     monkeypatch.setattr(robots, "_PATIENCE_S", 0.5)
     (folder / "other.yaml").write_text(SCENARIO.replace("15 deg", "20 deg"), encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            os.kill(running.robot_pid, signal.SIGSTOP)
-            session.shown.show_robot(folder / "other.yaml")
-            await running.until(lambda: session.robot.is_late)
-            sentence = "other.yaml takes long to load, and is shown as soon as it is; Restart begins anew"
-            assert robot_text(session) == sentence
-            assert session.shown.robot_starts
-            os.kill(running.robot_pid, signal.SIGCONT)
-            await running.runs()
-            assert not session.shown.robot_starts
-            assert (session.robot.state.parameters, running.notices) == ({"fall_angle": "20 deg"}, [])
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        await running.runs()
+        os.kill(running.robot_pid, signal.SIGSTOP)
+        session.shown.show_robot(folder / "other.yaml")
+        await running.until(lambda: session.robot.is_late)
+        sentence = "other.yaml takes long to load, and is shown as soon as it is; Restart begins anew"
+        assert robot_text(session) == sentence
+        assert session.shown.robot_starts
+        os.kill(running.robot_pid, signal.SIGCONT)
+        await running.runs()
+        assert not session.shown.robot_starts
+        assert (session.robot.state.parameters, running.notices) == ({"fall_angle": "20 deg"}, [])
 
 
 @pytest.mark.slow
-def test_a_robot_that_does_not_answer_is_named_and_ended_by_the_next_save(folder, monkeypatch):
+async def test_a_robot_that_does_not_answer_is_named_and_ended_by_the_next_save(folder, monkeypatch):
     monkeypatch.setattr(robots, "_PATIENCE_S", 1.0)
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            pid = running.robot_pid
-            os.kill(pid, signal.SIGSTOP)
-            begun = time.monotonic()
-            for _ in range(200):  # 200 kB, which no pipe takes
-                session.robot.set_parameter("fall_angle", "1" * 1_000)
-            assert time.monotonic() - begun < 5.0
-            _writes(session, SCENARIO.replace("15 deg", "20 deg"))
-            await running.until(lambda: session.robot.is_late)
-            _writes(session, SCENARIO.replace("15 deg", "25 deg"))
-            await running.until(lambda: session.robot.state is None)
-            await running.runs()
-            assert running.robot_pid != pid
-            assert session.robot.state.parameters == {"fall_angle": "25 deg"}
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        await running.runs()
+        pid = running.robot_pid
+        os.kill(pid, signal.SIGSTOP)
+        begun = time.monotonic()
+        for _ in range(200):  # 200 kB, which no pipe takes
+            session.robot.set_parameter("fall_angle", "1" * 1_000)
+        assert time.monotonic() - begun < 5.0
+        _writes(session, SCENARIO.replace("15 deg", "20 deg"))
+        await running.until(lambda: session.robot.is_late)
+        _writes(session, SCENARIO.replace("15 deg", "25 deg"))
+        await running.until(lambda: session.robot.state is None)
+        await running.runs()
+        assert running.robot_pid != pid
+        assert session.robot.state.parameters == {"fall_angle": "25 deg"}
 
 
 @pytest.mark.slow
-def test_a_start_that_is_drawn_without_end_leaves_the_editor_free(folder):
+async def test_a_start_that_is_drawn_without_end_leaves_the_editor_free(folder):
     never = "\nreset:\n  attempts: 100000\n  require: [abs(cart.pole_angle) < -1]\n"
     (folder / "mine.yaml").write_text(SCENARIO + never, encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            session = running.session
-            session.show(Path("mine.yaml"))
-            file = session.files[folder / "mine.yaml"]
-            await running.checked(file.path)
-            longest = 0.0
-            for number in range(20):
-                session.change(file, file.revision, f"{SCENARIO}# {number}{never}")
-                begin = time.monotonic()
-                await asyncio.sleep(0.2)
-                longest = max(longest, time.monotonic() - begin - 0.2)
-            assert longest < 0.5
-            await running.checked(file.path)
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        session.show(Path("mine.yaml"))
+        file = session.files[folder / "mine.yaml"]
+        await running.checked(file.path)
+        longest = 0.0
+        for number in range(20):
+            session.change(file, file.revision, f"{SCENARIO}# {number}{never}")
+            begin = time.monotonic()
+            await asyncio.sleep(0.2)
+            longest = max(longest, time.monotonic() - begin - 0.2)
+        assert longest < 0.5
+        await running.checked(file.path)
 
 
 @pytest.mark.slow
-def test_a_training_outlives_the_session_and_is_found_again(folder):
-    async def first() -> int:
-        async with Running(folder) as running:
-            session = running.session
-            session.current = session.open(Path("mine.yaml")).path
-            await running.checked(session.current)
-            task = session.commands.train(session.saved_name(), ["--timesteps", "20000"])
-            assert task.record.run == "runs/mine-1"
-            await running.until(
-                lambda: session.shown.training is not None and session.shown.training.log is not None,
-                120,
-            )
-            return len(session.shown.training.log.returns[0])
+async def test_a_training_outlives_the_session_and_is_found_again(folder):
+    async with Running(folder) as (running, session):
+        session.current = session.open(Path("mine.yaml")).path
+        await running.checked(session.current)
+        task = session.commands.train(session.saved_name(), ["--timesteps", "20000"])
+        assert task.record.run == "runs/mine-1"
+        await running.until(
+            lambda: session.shown.training is not None and session.shown.training.log is not None,
+            120,
+        )
+        points = len(session.shown.training.log.returns[0])
 
-    async def second(points: int) -> None:
-        async with Running(folder) as running:
-            session = running.session
-            assert [task.record.run for task in session.commands.tasks.running] == ["runs/mine-1"]
-            await running.until(
-                lambda: session.shown.training is not None and session.shown.training.log is not None
-            )
-            assert session.shown.training_task is session.shown.task
-            await running.until(lambda: len(session.shown.training.log.returns[0]) > points, 120)
-            assert session.shown.training.listed.state == "training"
-            # Stop keeps the policy.
-            session.shown.task.stop()
-            await running.until(lambda: not session.shown.task.is_running)
-            await running.until(lambda: session.shown.training.listed.state != "training")
-            await running.until(lambda: any("mine-1: stopped" in notice for notice in running.notices))
-            # The curve goes on when the training does.
-            session.commands.run(["resume", "runs/mine-1", "--timesteps", "40000"], Path("runs/mine-1"))
-            await running.until(
-                lambda: getattr(session.shown.training.listed, "state", "") == "training", 120
-            )
-            session.shown.task.stop()
-            await running.until(lambda: not session.shown.task.is_running)
-            assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
-            await session.read_runs()
-            assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]
+    async with Running(folder) as (running, session):
+        assert [task.record.run for task in session.commands.tasks.running] == ["runs/mine-1"]
+        await running.until(
+            lambda: session.shown.training is not None and session.shown.training.log is not None
+        )
+        assert session.shown.training_task is session.shown.task
+        await running.until(lambda: len(session.shown.training.log.returns[0]) > points, 120)
+        assert session.shown.training.listed.state == "training"
+        # Stop keeps the policy.
+        session.shown.task.stop()
+        await running.until(lambda: not session.shown.task.is_running)
+        await running.until(lambda: session.shown.training.listed.state != "training")
+        await running.until(lambda: any("mine-1: stopped" in notice for notice in running.notices))
+        # The curve goes on when the training does.
+        session.commands.run(["resume", "runs/mine-1", "--timesteps", "40000"], Path("runs/mine-1"))
+        await running.until(lambda: getattr(session.shown.training.listed, "state", "") == "training", 120)
+        session.shown.task.stop()
+        await running.until(lambda: not session.shown.task.is_running)
+        assert (folder / "runs" / "mine-1" / "models" / "agent" / "last.zip").is_file()
+        await session.read_runs()
+        assert [(run.path.name, run.problem) for run in session.runs] == [("mine-1", None)]
 
-    asyncio.run(second(asyncio.run(first())))
     assert [path.name for path in (folder / "runs").iterdir() if path.name[0] != "."] == ["mine-1"]
 
 
@@ -784,34 +737,34 @@ class Walk:
         assert not self.false_notices, self.done
 
 
-def walked(trained: Path, folder: Path, numbers: range, *, costs: bool) -> None:
+@asynccontextmanager
+async def walking(trained: Path, folder: Path) -> AsyncIterator[Walk]:
+    """A walk whose first scenario is shown."""
     shutil.copytree(trained, folder, dirs_exist_ok=True)
-
-    async def run() -> None:
-        async with Running(folder) as running:
-            walk = Walk(running)
-            walk.show(folder / "mine.yaml")
-            await walk.settle()
-            for number in numbers:
-                walk.random.seed(number)
-                await walk.go(_STEPS, costs=costs and number % 10 == 0)
-
-    asyncio.run(run())
+    async with Running(folder) as (running, _):
+        walk = Walk(running)
+        walk.show(folder / "mine.yaml")
+        yield walk
 
 
-def test_a_diagnosis_shows_each_of_several_agents(folder, monkeypatch):
+async def walked(trained: Path, folder: Path, numbers: range, *, costs: bool) -> None:
+    async with walking(trained, folder) as walk:
+        await walk.settle()
+        for number in numbers:
+            walk.random.seed(number)
+            await walk.go(_STEPS, costs=costs and number % 10 == 0)
+
+
+async def test_a_diagnosis_shows_each_of_several_agents(folder, monkeypatch):
     reports = [{"agent": one, "verdict": "solved", "causes": [], "solved": True} for one in ("fox", "hare")]
-
-    async def run() -> set[str]:
-        monkeypatch.setattr(core, "loop", asyncio.get_running_loop())
-        async with Running(folder) as running:
-            answer = (json.dumps({"runs": reports}), 0)
-            monkeypatch.setattr(running.session.commands, "call", lambda _: asyncio.sleep(0, answer))
-            with Client(page("/")) as client:
-                await RunsTab(running.session, print, print).diagnose(Path("runs/tag"))
-                return {getattr(element, "text", "") for element in client.elements.values()}
-
-    assert {"fox: solved", "hare: solved"} <= asyncio.run(run())
+    monkeypatch.setattr(core, "loop", asyncio.get_running_loop())
+    async with Running(folder) as (_, session):
+        answer = (json.dumps({"runs": reports}), 0)
+        monkeypatch.setattr(session.commands, "call", lambda _: asyncio.sleep(0, answer))
+        with Client(page("/")) as client:
+            await RunsTab(session, print, print).diagnose(Path("runs/tag"))
+            shown = {getattr(element, "text", "") for element in client.elements.values()}
+            assert {"fox: solved", "hare: solved"} <= shown
 
 
 @pytest.fixture(autouse=True)
@@ -819,92 +772,58 @@ def looks_often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sessions, "_WATCH_INTERVAL_S", 0.05)
 
 
-def acted(trained: Path, folder: Path, *names: str) -> None:
-    shutil.copytree(trained, folder, dirs_exist_ok=True)
-
-    async def run() -> None:
-        async with Running(folder) as running:
-            walk = Walk(running)
-            walk.show(folder / "mine.yaml")
-            for name in names:
-                getattr(walk, name)()
-                await walk.settle()
-
-    asyncio.run(run())
+async def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(trained, tmp_path):
+    async with walking(trained, tmp_path) as walk:
+        for name in ("watch", "edit", "save", "watch", "watch_and_save", *("watch", "look_at_curve") * 2):
+            getattr(walk, name)()
+            await walk.settle()
 
 
-def test_a_save_while_a_finished_run_is_watched_brings_the_robot_of_the_text(trained, tmp_path):
-    acted(
-        trained, tmp_path, "watch", "edit", "save", "watch", "watch_and_save", *("watch", "look_at_curve") * 2
-    )
-
-
-def test_the_policy_of_a_run_drives_the_saved_text_until_another_observation_does_not_fit(trained, tmp_path):
+async def test_the_policy_of_a_run_drives_the_saved_text_until_another_observation_does_not_fit(
+    trained, tmp_path
+):
     shutil.copytree(trained, tmp_path, dirs_exist_ok=True)
     policy = f"policy of {tmp_path / 'runs' / 'mine-1'}"
 
-    async def run() -> None:
-        async with Running(tmp_path) as running:
-            session, robot = running.session, running.session.robot
-            session.show(Path("mine.yaml"))
-            await running.runs()
-            robot.set_driver(policy)
-            await running.until(lambda: robot.state.driver == policy)
-            _writes(session, TINY.replace("15 deg", "20 deg"))
-            await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
-            assert robot_text(session) == "driven by the policy of mine-1"
+    async with Running(tmp_path) as (running, session):
+        robot = session.robot
+        session.show(Path("mine.yaml"))
+        await running.runs()
+        robot.set_driver(policy)
+        await running.until(lambda: robot.state.driver == policy)
+        _writes(session, TINY.replace("15 deg", "20 deg"))
+        await running.until(lambda: robot.state.parameters == {"fall_angle": "20 deg"})
+        assert robot_text(session) == "driven by the policy of mine-1"
 
-            _writes(session, TINY.replace("deg", "parsec"))
-            await running.until(lambda: robot.state.state == "outdated")
-            assert robot_text(session).startswith("the saved file has errors")
+        _writes(session, TINY.replace("deg", "parsec"))
+        await running.until(lambda: robot.state.state == "outdated")
+        assert robot_text(session).startswith("the saved file has errors")
 
-            _writes(session, TINY.replace("-20 .. 20 deg", "-30 .. 30 deg"))
-            await running.until(lambda: robot.state.driver == "random")
-            differs = (
-                "observation.cart.pole_angle: run -0.349066 .. 0.349066 rad, scenario -0.523599 .. 0.523599"
-            )
-            assert differs in robot_text(session)
-            robot.set_driver("random")
-            await running.until(lambda: differs not in robot_text(session))
-            robot.set_driver(policy)
-            await running.until(lambda: differs in robot_text(session))
-            assert robot.state.driver == "random"
-
-    asyncio.run(run())
+        _writes(session, TINY.replace("-20 .. 20 deg", "-30 .. 30 deg"))
+        await running.until(lambda: robot.state.driver == "random")
+        differs = "observation.cart.pole_angle: run -0.349066 .. 0.349066 rad, scenario -0.523599 .. 0.523599"
+        assert differs in robot_text(session)
+        robot.set_driver("random")
+        await running.until(lambda: differs not in robot_text(session))
+        robot.set_driver(policy)
+        await running.until(lambda: differs in robot_text(session))
+        assert robot.state.driver == "random"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("session", range(10))
-def test_all_that_is_shown_agrees_with_the_files_in_random_walks(trained, tmp_path, session):
+async def test_all_that_is_shown_agrees_with_the_files_in_random_walks(trained, tmp_path, session):
     first = session * _WALKS_OF_A_SESSION
-    walked(trained, tmp_path, range(first, first + _WALKS_OF_A_SESSION), costs=True)
+    await walked(trained, tmp_path, range(first, first + _WALKS_OF_A_SESSION), costs=True)
 
 
 @pytest.mark.slow
-def test_all_that_is_shown_agrees_with_the_files_in_a_walk(trained, tmp_path):
-    walked(trained, tmp_path, range(1000, 1001), costs=False)
-
-
-LINES = SCENARIO.split("\n")
-
-
-def _meaning(folder: Path, line_begins: str, word: str) -> str:
-    """Return the meaning of a word in the first line that begins so."""
-    line = next(number for number, text in enumerate(LINES) if text.startswith(line_begins))
-    (folder / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
-
-    async def run() -> str:
-        async with Running(folder) as running:
-            file = running.session.open(Path("mine.yaml"))
-            await running.checked(file.path)
-            column = LINES[line].index(word) + 1
-            return running.session.language.meaning(file.path, file.text, line, column)
-
-    return asyncio.run(run())
+async def test_all_that_is_shown_agrees_with_the_files_in_a_walk(trained, tmp_path):
+    await walked(trained, tmp_path, range(1000, 1001), costs=False)
 
 
 @pytest.mark.parametrize(
-    ("line", "word", "says", "place"),
+    ("line_begins", "word", "says", "place"),
     [
         ("  fall_angle:", "fall_angle", "a parameter, an angle", ""),
         ("    fallen:", "fall_angle", "a parameter, an angle", "[line 4](#line:4)"),
@@ -912,21 +831,21 @@ def _meaning(folder: Path, line_begins: str, word: str) -> str:
         ("truncation:", "max_steps", "**max_steps**", ""),
     ],
 )
-def test_a_word_has_a_meaning_and_the_place_of_its_definition(tmp_path, line, word, says, place):
-    meaning = _meaning(tmp_path, line, word)
+async def test_a_word_has_a_meaning_and_the_place_of_its_definition(folder, line_begins, word, says, place):
+    line, text = next(entry for entry in enumerate(SCENARIO.split("\n")) if entry[1].startswith(line_begins))
+    async with Running(folder) as (running, session):
+        file = session.open(Path("mine.yaml"))
+        await running.checked(file.path)
+        meaning = session.language.meaning(file.path, file.text, line, text.index(word) + 1)
     assert says in meaning
     assert f"Defined in {place}." in meaning if place else "Defined" not in meaning
 
 
 @pytest.mark.parametrize("phrase", ["pole length", "pole_angle"])
-def test_a_phrase_finds_names_of_the_text(tmp_path, phrase):
-    (tmp_path / "mine.yaml").write_text(SCENARIO, encoding="utf-8")
-
-    async def run() -> list[tuple[str, int]]:
-        async with Running(tmp_path) as running:
-            return running.session.language.names_like(running.session.open(Path("mine.yaml")), phrase)
-
-    assert asyncio.run(run())[0] == ("pole_angle", 9)
+async def test_a_phrase_finds_names_of_the_text(folder, phrase):
+    async with Running(folder) as (_, session):
+        names = session.language.names_like(session.open(Path("mine.yaml")), phrase)
+        assert names[0] == ("pole_angle", 9)
 
 
 @pytest.mark.parametrize(
@@ -982,7 +901,7 @@ def test_a_lesson_on_the_page_has_no_link_that_leads_away_from_it() -> None:
     assert [link for text in shown for link in re.findall(r"\]\([^)]*\.md\)", text)] == []
 
 
-def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):
+async def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):
     robot = robot_path("balancer").read_text("utf-8")
     wrong = re.sub(r'(<visual>.*?<box size=)"[^"]*"', r'\1"200 150 80"', robot, count=1, flags=re.DOTALL)
     assert wrong != robot
@@ -993,32 +912,24 @@ def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder
     (folder / "mine.yaml").write_text(text, encoding="utf-8")
     (folder / "own.urdf").write_text(wrong, encoding="utf-8")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            file = running.session.open(Path("mine.yaml"))
-            await running.checked(file.path)
-            found = [row for row in running.session.language.findings(file.path) if row.code == "DB507"]
-            assert [text.splitlines()[row.start[0]].strip() for row in found] == [
-                "urdf: own.urdf  # own.urdf"
-            ]
-            assert found[0].message.startswith("own.urdf, line ")
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        file = session.open(Path("mine.yaml"))
+        await running.checked(file.path)
+        found = [row for row in session.language.findings(file.path) if row.code == "DB507"]
+        assert [text.splitlines()[row.start[0]].strip() for row in found] == ["urdf: own.urdf  # own.urdf"]
+        assert found[0].message.startswith("own.urdf, line ")
 
 
-def test_an_error_in_a_base_or_in_a_robot_of_xacro_is_listed_where_the_scenario_names_the_file(folder):
+async def test_an_error_in_a_base_or_in_a_robot_of_xacro_is_listed_where_the_scenario_names_the_file(folder):
     robot = robot_path("balancer").read_text("utf-8").replace("</robot>", '<link name="lost"/></robot>')
     (folder / "own.urdf.xacro").write_text(robot, encoding="utf-8")
     (folder / "robot.yaml").write_text(SCENARIO.replace("urdf: cartpole", "urdf: own.urdf.xacro"))
     (folder / "derived.yaml").write_text("deepbots: 1\nextends: cartpole\nremove: [augment.speed]\n")
 
-    async def run() -> None:
-        async with Running(folder) as running:
-            for name, line in (("robot.yaml", "urdf: own.urdf.xacro"), ("derived.yaml", "extends: cartpole")):
-                file = running.session.open(Path(name))
-                await running.checked(file.path)
-                assert running.session.language.has_errors(file.path)
-                found = running.session.language.findings(file.path)[0]
-                assert (found.severity, file.text.splitlines()[found.start[0]].strip()) == ("error", line)
-
-    asyncio.run(run())
+    async with Running(folder) as (running, session):
+        for name, line in (("robot.yaml", "urdf: own.urdf.xacro"), ("derived.yaml", "extends: cartpole")):
+            file = session.open(Path(name))
+            await running.checked(file.path)
+            assert session.language.has_errors(file.path)
+            found = session.language.findings(file.path)[0]
+            assert (found.severity, file.text.splitlines()[found.start[0]].strip()) == ("error", line)
