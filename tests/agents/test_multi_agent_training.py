@@ -25,7 +25,7 @@ from deepbots_cli.cluster.worker_pool import LocalProcesses
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.learning.campaigns.listing import read_listed
-from deepbots_cli.learning.environments import EvaluationWorlds, stepping_text, supervisor_factory
+from deepbots_cli.learning.environments import EvaluationWorlds, supervisor_factory
 from deepbots_cli.learning.evaluation import evaluate
 from deepbots_cli.learning.multi_agent import own_model
 from deepbots_cli.learning.policy import load_model
@@ -304,15 +304,6 @@ def test_a_learner_bootstraps_no_value_after_the_end_and_leaves_out_what_follows
     assert sum(size - part for _, part, size in seen) > 0
 
 
-@pytest.mark.parametrize("algorithm", ["SAC", "RecurrentPPO"])
-def test_an_algorithm_without_support_is_refused_in_one_sentence(
-    carts: Path, tmp_path: Path, algorithm: str
-) -> None:
-    carts.write_text(ALONE + f"train: {{algorithm: {algorithm}, total_timesteps: 256}}\n")
-    with pytest.raises(UsageError, match=f"`left_fell` ends the episode of `left` alone, which {algorithm}"):
-        deepbots_cli.train(carts, run=tmp_path / "run", seed=1)
-
-
 def test_mirror_images_are_left_out_too() -> None:
     from gymnasium.spaces import Box
     from stable_baselines3.common.buffers import RolloutBuffer
@@ -436,6 +427,22 @@ def test_the_experience_of_both_agents_is_joined(tmp_path: Path, text: str) -> N
             assert both.taking_part[:, rows].tolist() == part.taking_part.tolist()
 
 
+@pytest.mark.parametrize(
+    ("text", "algorithm", "message"),
+    [
+        (ALONE, "SAC", "`left_fell` ends the episode of `left` alone, which SAC"),
+        (ALONE, "RecurrentPPO", "`left_fell` ends the episode of `left` alone, which RecurrentPPO"),
+        (SHARED_POLICY, "SAC", "SAC does not support a policy that several agents share"),
+    ],
+)
+def test_an_algorithm_without_support_is_refused_in_one_sentence(
+    tmp_path: Path, text: str, algorithm: str, message: str
+) -> None:
+    scenario = write_scenario(tmp_path, f"{text}train: {{algorithm: {algorithm}, total_timesteps: 256}}\n")
+    with pytest.raises(UsageError, match=message):
+        deepbots_cli.train(scenario, run=tmp_path / "run", seed=1)
+
+
 @pytest.mark.parametrize("text", [SHARED_POLICY, SHARED_ALONE], ids=["together", "alone"])
 def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path, text: str) -> None:
     sharing_carts.write_text(text + PPO_512)
@@ -445,13 +452,6 @@ def test_both_agents_act_by_the_same_weights(sharing_carts: Path, tmp_path: Path
     assert left
     assert all(np.array_equal(array, weights[f"right/{name}"]) for name, array in left.items())
     assert {*evaluate(tmp_path / "run", episodes=2).agents} == {"left", "right"}
-
-
-@pytest.mark.slow
-def test_an_algorithm_without_support_is_refused(sharing_carts: Path, tmp_path: Path) -> None:
-    sharing_carts.write_text(SHARED_POLICY + "train: {algorithm: SAC, total_timesteps: 256}\n")
-    with pytest.raises(UsageError, match="SAC does not support a policy that several agents share"):
-        deepbots_cli.train(sharing_carts, run=tmp_path / "run", seed=1)
 
 
 WORLDS = 9
@@ -579,10 +579,3 @@ def test_an_evaluation_beside_a_policy_is_the_same_in_a_batch(trained_alike: Pat
             assert worlds.has_batch_for(20) == ("batch" in setting)
             played.append(worlds.play(model, range(20)))
     assert played[0] == played[1]
-
-
-def test_a_training_beside_others_steps_its_worlds_together(tmp_path: Path) -> None:
-    overrides = ["role={agent: left, others: {right: lean}}", "world.engine=mujoco"]
-    program = api.compile(write_scenario(tmp_path, SEVERAL), overrides=overrides).program
-    text = stepping_text(program, 8, "mujoco", supervisor_factory("mujoco"))
-    assert text == "Carts steps its 8 worlds together, as a batch"

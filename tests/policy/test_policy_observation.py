@@ -27,18 +27,12 @@ from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import Observer
 from tests.worlds import CART, Make, Maker
 
-CHOICES = ("action.drive={choices: {ahead: 1, back: -1, stay: 0}}",)
-
 
 def observe(
-    small: Make,
-    observation: str,
-    *overrides: str,
-    sections: str = "reward: {pay: drive}\n",
-    steps: Any = (1.0, -0.5, 0.25),
+    small: Make, observation: str, *overrides: str, sections: str = "", steps: Any = (1.0, -0.5, 0.25)
 ) -> Any:
     """The observations of the reset and of one step per action, as lists."""
-    environment = small(sections, f"observation={observation}", *overrides)
+    environment = small(f"{sections}reward: {{pay: drive}}\n", f"observation={observation}", *overrides)
     observations = [environment.reset(seed=1)[0]]
     for step in steps:
         action = np.array([step], np.float32) if isinstance(step, float) else step
@@ -47,51 +41,70 @@ def observe(
     return [[round(float(number), 6) for number in row] for row in observations]
 
 
-def test_a_history_begins_with_the_first_value_and_ends_with_the_newest(small: Make) -> None:
-    sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    observations = observe(small, "{at: {range: 0 .. 10, history: 3}}", sections=sections)
-    assert observations == [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]]
-
-
-def test_a_history_of_a_vector_keeps_its_components_together(small: Make) -> None:
-    sections = "signals:\n  at: vector(step, 10 - step, 0)\naugment: [at]\nreward: {pay: drive}\n"
-    observations = observe(small, "{at: {range: 0 .. 10, history: 2}}", sections=sections)
-    assert observations[1] == [-1, 1, -1, -0.8, 0.8, -1]
-
-
-def test_a_stack_repeats_whole_frames_oldest_first(small: Make) -> None:
-    sections = "signals: {at: step}\naugment: [at]\nreward: {pay: drive}\n"
-    observations = observe(
-        small,
+CHOICES = "action.drive={choices: {ahead: 1, back: -1, stay: 0}}"
+PAIR = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
+SEEN: dict[str, tuple[str, str, Any, list[list[float]]]] = {
+    "a history begins with the first value and ends with the newest": (
+        "{at: {range: 0 .. 10, history: 3}}",
+        "signals={at: step};augment=[at]",
+        (1.0, -0.5, 0.25),
+        [[-1, -1, -1], [-1, -1, -0.8], [-1, -0.8, -0.6], [-0.8, -0.6, -0.4]],
+    ),
+    "a history of a vector keeps its components together": (
+        "{at: {range: 0 .. 10, history: 2}}",
+        'signals={at: "vector(step, 10 - step, 0)"};augment=[at]',
+        (1.0, -0.5),
+        [[-1, 1, -1, -1, 1, -1], [-1, 1, -1, -0.8, 0.8, -1], [-0.8, 0.8, -1, -0.6, 0.6, -1]],
+    ),
+    "a stack repeats whole frames, the oldest first": (
         "{at: {range: 0 .. 10, history: 2}, previous_action: auto}",
-        "agent={frame_stack: 2}",
-        sections=sections,
-    )
-    assert observations[0] == [-1, -1, 0, -1, -1, 0]
-    assert observations[3] == [-0.8, -0.6, -0.5, -0.6, -0.4, 0.25]
+        "signals={at: step};augment=[at];agent={frame_stack: 2}",
+        (1.0, -0.5),
+        [[-1, -1, 0, -1, -1, 0], [-1, -1, 0, -1, -0.8, 1], [-1, -0.8, 1, -0.8, -0.6, -0.5]],
+    ),
+    "the previous action is what the agent gave, and not what it meant": (
+        "{previous_action: auto}",
+        "action.drive=2 .. 4",
+        (1.0, -0.5, 3.0),
+        [[0], [1], [-0.5], [1]],
+    ),
+    "a previous choice is one-hot, and nothing before the first": (
+        "{previous_action: auto}",
+        CHOICES,
+        (0, 2, np.int64(1)),
+        [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]],
+    ),
+    "several choices are one-hots in a row": (
+        "{previous_action: auto}",
+        f"{PAIR};reward.light=lamp",
+        (np.array([0, 1]), np.array([1, 0])),
+        [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]],
+    ),
+    "one option of the previous action is seen alone": (
+        "{previous_action.back: auto}",
+        CHOICES,
+        (1, 0),
+        [[0], [1], [0]],
+    ),
+    "the previous reward is that of this step where it is observed, and else that of the last": (
+        "{previous_reward: -1 .. 1, last: -1 .. 1}",
+        "signals={last: previous_reward};augment=[last]",
+        (1.0, -0.5, 0.25),
+        [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]],
+    ),
+    "time and steps": (
+        "{time: 0 .. 0.2 s, step: 0 .. 10}",
+        "",
+        (1.0,) * 2,
+        [[-1] * 2, [-0.8] * 2, [-0.6] * 2],
+    ),
+}
 
 
-def test_the_previous_action_is_what_the_agent_gave_and_not_what_it_meant(small: Make) -> None:
-    observations = observe(small, "{previous_action: auto}", "action.drive=2 .. 4", steps=(1.0, -0.5, 3.0))
-    assert observations == [[0], [1], [-0.5], [1]]
-
-
-def test_a_previous_choice_is_one_hot_and_nothing_before_the_first(small: Make) -> None:
-    observations = observe(small, "{previous_action: auto}", *CHOICES, steps=(0, 2, np.int64(1)))
-    assert observations == [[0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 1, 0]]
-
-
-def test_several_choices_are_one_hots_in_a_row(small: Make) -> None:
-    pair = "action={drive: {choices: {ahead: 1, back: -1}}, lamp: {choices: {on: 1, off: 0}}}"
-    sections = "reward: {pay: drive + lamp}\n"
-    observations = observe(
-        small, "{previous_action: auto}", pair, sections=sections, steps=(np.array([0, 1]), np.array([1, 0]))
-    )
-    assert observations == [[0, 0, 0, 0], [1, 0, 0, 1], [0, 1, 1, 0]]
-
-
-def test_one_option_of_the_previous_action_can_be_seen_alone(small: Make) -> None:
-    assert observe(small, "{previous_action.back: auto}", *CHOICES, steps=(1, 0)) == [[0], [1], [0]]
+@pytest.mark.parametrize("case", SEEN)
+def test_a_policy_sees_what_its_observation_lists(small: Make, case: str) -> None:
+    observation, overrides, steps, expected = SEEN[case]
+    assert observe(small, observation, *filter(None, overrides.split(";")), steps=steps) == expected
 
 
 def test_an_expression_may_use_the_previous_action(small: Make) -> None:
@@ -99,14 +112,6 @@ def test_an_expression_may_use_the_previous_action(small: Make) -> None:
     environment = small(sections, "action.drive=0 .. 0.5")
     environment.reset(seed=0)
     assert environment.step(np.array([0.5], np.float32))[1] == 1.5
-
-
-def test_the_previous_reward_is_that_of_this_step_when_it_is_observed_and_else_that_of_the_last(
-    small: Make,
-) -> None:
-    sections = "signals: {last: previous_reward}\naugment: [last]\nreward: {pay: drive}\n"
-    observations = observe(small, "{previous_reward: -1 .. 1, last: -1 .. 1}", sections=sections)
-    assert observations == [[0, 0], [1, 0], [-0.5, 1], [0.25, -0.5]]
 
 
 def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Make) -> None:
@@ -118,10 +123,6 @@ def test_the_return_of_an_episode_is_summed_and_begins_anew(small: Make) -> None
             0.5,
             0.75,
         ]
-
-
-def test_time_and_steps_can_be_seen(small: Make) -> None:
-    assert observe(small, "{time: 0 .. 0.2 s, step: 0 .. 10}")[2] == [-0.6, -0.6]
 
 
 # Noise and clipping
@@ -160,7 +161,7 @@ def test_drawn_noise_of_an_observed_value_is_in_info(small: Make) -> None:
 
 
 def test_noise_on_one_value_changes_no_other_draw(small: Make) -> None:
-    sections = "reward: {pay: drive}\nreset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
+    sections = "reset: {joints: {cart.slider: uniform(-0.1 .. 0.1 m)}}\n"
     plain = observe(
         small, "{cart.place: -1 .. 1 m, cart.lean: {range: -1 .. 1 rad, noise: 0.01 rad}}", sections=sections
     )
@@ -206,10 +207,7 @@ def test_noise_of_a_measurement_is_a_share_or_drawn_as_that_of_an_observation(
 
 
 def test_what_uses_the_function_instead_of_the_noisy_name_stays_exact(small: Make) -> None:
-    sections = (
-        "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact:"
-        " position(cart.cart).x\nreward: {pay: drive}\n"
-    )
+    sections = "augment:\n  at: {value: position(cart.cart).x, noise: 5 cm}\n  exact: position(cart.cart).x\n"
     observations = observe(
         small, "{cart.place: -1 .. 1 m, exact: -1 .. 1 m, at: -1 .. 1 m}", sections=sections
     )
