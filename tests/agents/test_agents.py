@@ -138,24 +138,6 @@ def test_the_environment_of_a_role_is_the_world_with_the_others_driven(several: 
             assert (reward, set(own["reward_terms"])) == (seats["left"].reward(info), {"upright", "calm"})
 
 
-@pytest.mark.parametrize("shown", ["robots", "messages", "rewards"])
-def test_a_batch_of_worlds_shows_what_single_worlds_show(tmp_path: Path, shown: str) -> None:
-    text = {
-        "robots": SEVERAL,
-        "messages": f"parameters: {{slow: uniform(20 .. 90 ms)}}\n{HEARING}"
-        "messages: {between_robots: {loss: 30 %, latency: slow + uniform(0 .. 20 ms) each step}}\n",
-        "rewards": OBSERVED,
-    }[shown]
-    file = write_scenario(tmp_path, text)
-    with closing(api.make_vec(file, 3)) as batch, closing(api.make(file, engine="mujoco")) as single:
-        batch.reset(seed=[4, 5, 6])
-        single.reset(seed=5)
-        generator = np.random.default_rng(0)
-        for _ in range(12):
-            actions = generator.uniform(-1, 1, (3, 2)).astype(np.float32)
-            assert batch.step(actions)[0][1].tolist() == single.step(actions[1])[0].tolist()
-
-
 def test_the_options_of_a_command_replace_the_role_of_the_file(
     several: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
