@@ -285,30 +285,11 @@ def zero() -> list[float]:
     return [0.0]
 
 
-def test_a_lag_is_the_step_response_of_first_order():
-    tau = 0.03
-    response = Response(SUBSTEP, zero, time_constant=tau)
-    response.send([2.0])
-    for k, value in enumerate(followed_values(response, 40), start=1):
-        assert value == pytest.approx(2.0 * (1 - exp(-k * SUBSTEP / tau)), abs=1e-12)
-
-
 def test_a_lag_ends_at_the_command_and_then_has_nothing_to_do():
     response = Response(SUBSTEP, zero, time_constant=0.01)
     response.send([0.3])
     assert followed_values(response, 200)[-1] == pytest.approx(0.3, abs=1e-15)
     assert response.advance() is None
-
-
-@pytest.mark.parametrize(
-    ("delay", "waits"), [(0.0, 0), (0.001, 1), (0.005, 1), (0.0051, 2), (0.020, 4), (0.3, 60)]
-)
-def test_a_command_takes_effect_in_the_first_substep_that_begins_late_enough(delay: float, waits: int):
-    response = Response(SUBSTEP, zero, delay=delay)
-    response.send([1.0])
-    values = followed_values(response, waits + 1)
-    assert values[-1] == 1.0
-    assert all(value != value for value in values[:-1])
 
 
 @pytest.mark.parametrize("substeps", [1, 2, 4, 8])

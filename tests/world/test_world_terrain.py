@@ -536,35 +536,22 @@ def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
         math.hypot(0.29, 0.04) - 0.02, abs=2e-3
     )  # to the corner of the nearer of its two pieces
     assert values["to_arena"] == pytest.approx(1 - 0.27, abs=2e-3)  # the left wall
-
-
-def test_a_wall_of_one_piece_has_a_position(make: Make) -> None:
-    environment = make(YARD)
-    environment.reset(seed=0)
-    values = observed_values(environment)
     assert [values[f"middle.{axis}"] for axis in "xyz"] == pytest.approx([0.4, 0.0, 0.1], abs=1e-6)
 
 
-def test_contact_and_collided_tell_walls_apart(make: Make) -> None:
-    environment = make(YARD, "reset.place.puck.velocity=2 0 0 m/s")
+@pytest.mark.parametrize(
+    ("velocity", "wall"), [("2 0 0 m/s", "touched"), ("0 4 0 m/s", "fenced")], ids=["a wall", "the arena"]
+)
+def test_contact_and_collided_tell_walls_and_the_arena_apart(make: Make, velocity: str, wall: str) -> None:
+    environment = make(YARD, f"reset.place.puck.velocity={velocity}")
     environment.reset(seed=0)
-    touched = set()
-    for _ in range(10):
+    felt = set()
+    for _ in range(15):
         environment.step([0.0])
         values = observed_values(environment)
         assert values["touched"] == values["bumped"]
-        touched |= {name for name in ("touched", "fenced") if values[name] > 0.5}
-    assert touched == {"touched"}
-
-
-def test_contact_with_the_arena_is_contact_with_any_of_its_walls(make: Make) -> None:
-    environment = make(YARD, "reset.place.puck.velocity=0 4 0 m/s")
-    environment.reset(seed=0)
-    touched = set()
-    for _ in range(15):
-        environment.step([0.0])
-        touched |= {name for name in ("touched", "fenced") if observed_values(environment)[name] > 0.5}
-    assert touched == {"fenced"}
+        felt |= {name for name in ("touched", "fenced") if values[name] > 0.5}
+    assert felt == {wall}
 
 
 def test_a_touch_sensor_feels_a_wall_that_is_named(tmp_path: Path) -> None:
