@@ -144,46 +144,6 @@ def test_a_world_of_a_batch_has_the_episodes_of_a_single_world(name: str) -> Non
     assert compare(name, worlds=3, steps=40, overrides=overrides) > 0
 
 
-BODIES = (
-    "truncation.max_time=0.4 s",
-    "robots.dog.links={trunk: {com: uniform(-3 -3 -1 .. 3 3 1 cm), inertia: uniform(0.7 .. 1.3), mass: urdf *"
-    " uniform(0.8 .. 1.2)}, '*_upper': {com: uniform(-1 -1 -1 .. 1 1 1 cm)}}",
-    "robots.dog.joints={legs: {armature: uniform(0 .. 0.02 kg*m^2), friction: uniform(0 .. 0.2 N*m), damping:"
-    " uniform(0 .. 0.1 N*m*s/rad)}}",
-)
-SPUN = (
-    "robots.dog.actuators={legs: {type: velocity_motor, joints: legs, max_torque: 20 N*m}}",
-    "robots.dog.apply={legs: 10 rad/s * stride}",
-)
-
-
-CURVE = "stall_torque: 40 N*m, no_load_speed: 10 rad/s"
-SPRING = f"type: position_motor, joints: legs, stiffness: 40 N*m/rad, damping: 1 N*m*s/rad, {CURVE}"
-CURVED = (
-    f"robots.dog.actuators={{legs: {{{SPRING}, strength: 0.8}}}}",
-    f"robots.dog.actuators={{legs: {{{SPRING}, strength: uniform(0.5 .. 1)}}}}",
-)
-TORQUES = (
-    f"robots.dog.actuators={{legs: {{type: torque_motor, joints: legs, {CURVE}, strength: 1}}}}",
-    "robots.dog.apply={legs: 33 N*m * stride}",
-    "reset.settle=0 s",
-)
-
-
-@pytest.mark.parametrize(
-    "motors",
-    [
-        pytest.param((), id="springs", marks=pytest.mark.slow),
-        pytest.param(SPUN, id="velocity motors", marks=pytest.mark.slow),
-        pytest.param(CURVED[:1], id="weak curves", marks=pytest.mark.slow),
-        pytest.param(CURVED[1:], id="drawn curves"),
-        pytest.param(TORQUES, id="torques", marks=pytest.mark.slow),
-    ],
-)
-def test_drawn_bodies_and_joints_move_in_a_batch_as_in_single_worlds(motors: tuple[str, ...]) -> None:
-    assert compare(PUSHED, worlds=3, steps=30, overrides=(*BODIES, *motors)) > 0
-
-
 @pytest.mark.parametrize("start", ["level", "0.1"])
 def test_memories_of_apply_wait_for_late_messages_in_a_batch_too(start: str) -> None:
     """Those with a received start begin with the first message, and all advance in the worlds that receive
@@ -229,26 +189,6 @@ def test_copies_of_a_robot_in_a_batch_draw_sense_and_move_as_in_a_single_world()
     """With several timesteps in a step, lossy channels, values of each copy and of all, and a body of two
     forms."""
     assert compare("multi_cartpole", worlds=3, steps=40, overrides=COPIES) > 0
-
-
-def test_a_world_of_copies_that_becomes_infinite_ends_for_all_of_them() -> None:
-    compiled = api.compile("multi_cartpole")
-    with (
-        closing(deepbots_cli.make_vec(compiled, 3)) as batch,
-        closing(api.make(compiled, engine="mujoco")) as single,
-    ):
-        batch.reset(seed=0)
-        batch.batch.singles[1].engine.set_joint("cart#4", "pole_hinge", np.inf, 0.0)
-        with pytest.warns(
-            RuntimeWarning, match=r"world 1 \(seed 1\) was reset in step 1: .* became infinite or NaN"
-        ):
-            observations, rewards, _, truncated, infos = batch.step(np.zeros((3, 9), int))
-        assert truncated.tolist() == [False, True, False]
-        assert rewards[1] == 0.0
-        assert infos["final_info"]["ended_by"][1] == "not_finite"
-        assert len(batch.batch.losses) == 1
-        single.reset(seed=2)
-        assert_same(observations[2], single.step(np.zeros(9, int))[0])
 
 
 MASKABLE = "train={algorithm: MaskablePPO, total_timesteps: 1000}"
@@ -354,29 +294,53 @@ def batch(cartpole: Compiled) -> Iterator[BatchEnvironment]:
         yield vector_env
 
 
-@pytest.fixture
-def single(cartpole: Compiled) -> Iterator[Supervisor]:
-    with closing(api.make(cartpole, engine="mujoco")) as world:
-        yield world
-
-
+@pytest.mark.parametrize(
+    ("name", "world", "breaks", "error"),
+    [
+        (
+            "cartpole",
+            2,
+            lambda engine: engine.set_joint("cart", "pole_hinge", np.inf, 0.0),
+            "the pose of 'cart' became infinite or NaN",
+        ),
+        (
+            "multi_cartpole",
+            1,
+            lambda engine: engine.set_joint("cart#4", "pole_hinge", np.inf, 0.0),
+            "became infinite",
+        ),
+        # FindBall asks for contacts in each substep.
+        (
+            "find_ball",
+            1,
+            lambda engine: engine.place("epuck", *engine.pose("epuck")(), velocity=(1e200, 0.0, 0.0)),
+            "",
+        ),
+    ],
+)
 def test_a_world_that_becomes_infinite_begins_anew_and_leaves_the_others_alone(
-    batch: BatchEnvironment, single: Supervisor
+    name: str, world: int, breaks: Callable[[Any], None], error: str
 ) -> None:
-    batch.batch.singles[2].engine.set_joint("cart", "pole_hinge", np.inf, 0.0)
-    with pytest.warns(
-        RuntimeWarning, match=r"world 2 \(seed 2\) was reset in step 1: .* became infinite or NaN"
+    compiled = api.compile(name)
+    with (
+        closing(deepbots_cli.make_vec(compiled, 4)) as batch,
+        closing(api.make(compiled, engine="mujoco")) as single,
     ):
-        observations, rewards, _, truncated, infos = batch.step(np.zeros(4, int))
-    assert truncated.tolist() == [False, False, True, False]
-    assert infos["final_info"]["ended_by"][2] == "not_finite"
-    assert rewards[2] == 0.0
-    assert [(loss.world, loss.seed, loss.step) for loss in batch.batch.losses] == [(2, 2, 1)]
-    assert batch.batch.losses[0].error == "the pose of 'cart' became infinite or NaN"
-    single.reset(seed=3)
-    assert_same(observations[3], single.step(0)[0])
-    single.reset(seed=2)
-    assert_same(observations[2], single.reset()[0])
+        batch.reset(seed=7)
+        breaks(batch.batch.singles[world].engine)
+        actions = np.zeros_like(batch.action_space.sample())
+        reset = rf"world {world} \(seed {7 + world}\) was reset in step 1: .* became infinite or NaN"
+        with pytest.warns(RuntimeWarning, match=reset):
+            observations, rewards, _, truncated, infos = batch.step(actions)
+        assert truncated.tolist() == [number == world for number in range(4)]
+        assert (rewards[world], infos["final_info"]["ended_by"][world]) == (0.0, "not_finite")
+        (loss,) = batch.batch.losses
+        assert (loss.world, loss.seed, loss.step) == (world, 7 + world, 1)
+        assert error in loss.error
+        for number in range(4):
+            single.reset(seed=7 + number)
+            expected = single.reset() if number == world else single.step(actions[number])
+            assert_same(observations[number], expected[0])
 
 
 def test_what_does_not_fit_a_batch_is_named() -> None:
@@ -481,29 +445,6 @@ def test_zeros_have_the_same_sign_in_a_batch_and_in_single_worlds(tmp_path: Path
             assert reward == in_batch, info["reward_terms"]
 
 
-def test_a_world_that_becomes_unstable_in_a_step_is_named_and_leaves_the_others_alone() -> None:
-    """FindBall asks for contacts in each substep."""
-    compiled = api.compile("find_ball")
-    with (
-        closing(deepbots_cli.make_vec(compiled, 3)) as batch,
-        closing(api.make(compiled, engine="mujoco")) as single,
-    ):
-        batch.reset(seed=7)
-        at, turned = batch.batch.singles[1].engine.pose("epuck")()
-        batch.batch.singles[1].engine.place("epuck", at, turned, velocity=(1e200, 0.0, 0.0))
-        actions = np.zeros((3, 2), np.float32)
-        with pytest.warns(
-            RuntimeWarning, match=r"world 1 \(seed 8\) was reset in step 1: .* became infinite or NaN"
-        ):
-            observations, rewards, _, truncated, infos = batch.step(actions)
-        assert truncated.tolist() == [False, True, False]
-        assert rewards[1] == 0.0
-        assert infos["final_info"]["ended_by"][1] == "not_finite"
-        for world in (0, 2):
-            single.reset(seed=7 + world)
-            assert_same(observations[world], single.step(actions[world])[0])
-
-
 # Batches on the command line
 
 
@@ -512,11 +453,6 @@ def test_compile_prints_the_module_of_a_batch(capsys: pytest.CaptureFixture[str]
     code = capsys.readouterr().out
     assert "class CartPoleBatch(BatchSupervisor):" in code
     assert "drive = pick(self.CHOICES_drive, action)" in code
-
-
-def test_compile_says_what_a_batch_cannot_hold(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["compile", "see_ball", "--target", "batch"]) == 2
-    assert "SeeBall does not fit a batch: it has cameras" in capsys.readouterr().err
 
 
 def test_bench_compares_engines_and_batches(capsys: pytest.CaptureFixture[str]) -> None:
