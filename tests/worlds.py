@@ -39,6 +39,12 @@ Make = Callable[..., Any]
 """Makes environments of a scenario, as a fixture."""
 
 
+def begun(environment: Any, seed: int = 0) -> Any:
+    """Begin an episode, and return the environment."""
+    environment.reset(seed=seed)
+    return environment
+
+
 class Maker:
     """Makes environments, and closes all of them with `close`."""
 

@@ -24,7 +24,7 @@ from deepbots_cli.engines import ENGINES
 from deepbots_cli.program.robots import Motor
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.actuation import Push, Response
-from tests.worlds import RAIL, SCENARIOS, Make
+from tests.worlds import RAIL, SCENARIOS, Make, begun
 
 STRONG = "robots.cart.joints={slider: {max_torque: 100 kN}}"
 """The limit of the robot file is 10 N, and a greater one of an actuator has no effect."""
@@ -150,16 +150,19 @@ def test_a_perfect_motor_prints_the_writer_of_the_engine_and_nothing_of_a_device
 
 def test_actuators_hold_while_the_world_settles(rail: Make):
     tilted = "reset={joints: {cart.hinge: 90 deg}, settle: 0.4 s}"
-    held = rail(ENDLESS[0], tilted, max_torque="100 kN")
-    held.reset(seed=0)
+    held = begun(rail(ENDLESS[0], tilted, max_torque="100 kN"))
     assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-6)
-    spring = rail(
-        ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 m", type="position_motor", max_torque="100 kN"
+    spring = begun(
+        rail(
+            ENDLESS[0],
+            tilted,
+            "robots.cart.apply.motor=drive * 1 m",
+            type="position_motor",
+            max_torque="100 kN",
+        )
     )
-    spring.reset(seed=0)
     assert spring.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.0, abs=1e-3)
-    let_go = rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 N", type="torque_motor")
-    let_go.reset(seed=0)
+    let_go = begun(rail(ENDLESS[0], tilted, "robots.cart.apply.motor=drive * 1 N", type="torque_motor"))
     assert abs(let_go.engine.joint_states("cart", ("slider",))()[0][0]) > 0.01
 
 
@@ -178,8 +181,7 @@ def test_a_motor_holds_until_its_first_command_takes_effect(rail: Make, target: 
         "reset={joints: {cart.hinge: 45 deg, cart.slider: 0.3 m}}",
     )
     kind = {"1 m/s": "velocity_motor", "1 m": "position_motor"}[target]
-    held = rail(ENDLESS[0], *command, late, type=kind, max_torque="100 kN")
-    held.reset(seed=0)
+    held = begun(rail(ENDLESS[0], *command, late, type=kind, max_torque="100 kN"))
     held.step(FORWARD)
     assert held.engine.joint_states("cart", ("slider",))()[0][0] == pytest.approx(0.3, abs=1e-6)
 
@@ -228,8 +230,9 @@ def test_a_limit_times_strength_is_all_that_a_motor_exerts_whatever_the_substeps
     rail: Make, target: str, motor: dict[str, str], substeps: int
 ):
     apply = f"robots.cart.apply.motor=drive * {target}"
-    weak = rail(f"world.substeps={substeps}", *ENDLESS, apply, engine="pybullet", strength="0.5", **motor)
-    weak.reset(seed=0)
+    weak = begun(
+        rail(f"world.substeps={substeps}", *ENDLESS, apply, engine="pybullet", strength="0.5", **motor)
+    )
     weak.step(FORWARD)
     ((_, speed, *_),) = weak.engine.joint_states("cart", ("slider",))()
     # The rod hangs still at first, and a quarter of its mass moves along.
@@ -365,8 +368,7 @@ def held_beam(make: Make, tmp_path: Path, engine: str, link: str, joint: str = "
 def test_a_motor_holds_the_weight_of_a_link_at_its_center_of_mass(
     make: Make, tmp_path: Path, engine: str, offset: float
 ) -> None:
-    beam = held_beam(make, tmp_path, engine, f"{{com: {offset} 0 0 m}}")
-    beam.reset(seed=0)
+    beam = begun(held_beam(make, tmp_path, engine, f"{{com: {offset} 0 0 m}}"))
     for _ in range(100):
         (share,), *_ = beam.step(np.zeros(1, np.float32))
     assert -50 * share == pytest.approx(2.0 * 9.81 * offset, rel=1e-3)
@@ -384,8 +386,7 @@ def test_strength_multiplies_the_stall_torque(make: Make, tmp_path: Path, engine
         head, tail = text.index("    actuators"), text.index("    apply")
         text = f"{text[:head]}    actuators: {{hinge: {motor % strength}}}\n{text[tail:]}"
         scenario.write_text(text.replace("0 rad * push", "1000 N*m * push"), encoding="utf-8")
-        beam = make(scenario)
-        beam.reset(seed=0)
+        beam = begun(make(scenario))
         for _ in range(5):
             beam.step(np.ones(1, np.float32))
         speeds.append(beam.engine.joint_states("arm", ("hinge",))()[0][1])
@@ -433,8 +434,7 @@ def test_the_hand_reaches_places_of_the_world_within_a_millimeter_and_keeps_its_
 
 @pytest.mark.slow
 def test_a_stretched_arm_finds_a_way_to_bend(make: Make):
-    panda = make(ARM, "reset.joints={panda.arm: 0 deg}")
-    panda.reset(seed=0)
+    panda = begun(make(ARM, "reset.joints={panda.arm: 0 deg}"))
     act(panda, (0.0, 0.0, -1.0), ticks=80)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
         target_of((0, 0, -1)), abs=1e-3
@@ -453,8 +453,7 @@ def test_joints_move_no_faster_than_their_limits(make: Make):
 
 
 def test_without_an_attitude_only_the_place_counts(make: Make):
-    panda = make(ARM, f"{HAND}}}")
-    panda.reset(seed=0)
+    panda = begun(make(ARM, f"{HAND}}}"))
     act(panda, (-1.0, 0.5, 1.0), ticks=60)
     assert panda.engine.pose("panda", "panda_grasptarget")()[0] == pytest.approx(
         target_of((-1, 0.5, 1)), abs=1e-3
@@ -462,8 +461,7 @@ def test_without_an_attitude_only_the_place_counts(make: Make):
 
 
 def test_a_target_out_of_reach_is_approached(make: Make):
-    panda = make(ARM, "robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach")
-    panda.reset(seed=0)
+    panda = begun(make(ARM, "robots.panda.apply.hand=vector(5 m, 0 m, 0.4 m) + 1 m * reach"))
     act(panda, (0.0, 0.0, 0.0), ticks=60)
     x, y, _ = panda.engine.pose("panda", "panda_grasptarget")()[0]
     assert x > 0.7
@@ -516,8 +514,7 @@ def test_a_late_spring_holds_with_its_own_stiffness_and_sags_as_it_would_under_t
 
 
 def test_the_attitude_is_that_of_roll_pitch_and_yaw_in_the_world(make: Make):
-    panda = make(ARM, f"{HAND}, rpy: 180 0 90 deg}}")
-    panda.reset(seed=0)
+    panda = begun(make(ARM, f"{HAND}, rpy: 180 0 90 deg}}"))
     act(panda, (0.0, 0.0, 0.0), ticks=80)
     x, y, _, _ = panda.engine.pose("panda", "panda_grasptarget")()[1]
     assert 2 * np.arctan2(y, x) % (2 * pi) == pytest.approx(pi / 2, abs=1e-3)

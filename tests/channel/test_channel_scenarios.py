@@ -25,7 +25,7 @@ from deepbots_cli import api
 from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, UsageError
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.copies import CopiesSupervisor
-from tests.worlds import RAIL, SCENARIOS, Make
+from tests.worlds import RAIL, SCENARIOS, Make, begun
 
 DRIVES = (1.0, -1.0, 0.5, -0.5, 0.25, 0.75)
 NEARLY = 1e-4
@@ -86,11 +86,13 @@ def test_what_a_robot_makes_of_a_lost_message(cart: Make, on_loss: str, moves: l
 def test_a_held_message_counts_as_one_more_for_what_the_robot_remembers(
     cart: Make, on_loss: str, low: float, high: float
 ) -> None:
-    environment = cart(
-        f"messages.to_robot={{loss: 50 %, on_loss: {on_loss}}}",
-        "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -9 .. 9 m/s, 0 m/s)",
+    environment = begun(
+        cart(
+            f"messages.to_robot={{loss: 50 %, on_loss: {on_loss}}}",
+            "robots.cart.apply.motor=accumulate(drive * 0.1 m/s, -9 .. 9 m/s, 0 m/s)",
+        ),
+        seed=1,
     )
-    environment.reset(seed=1)
     last = [environment.step(np.array([0.1]))[4]["reward_terms"]["truth"] for _ in range(40)][-1]
     assert low < last < high
 
@@ -312,8 +314,7 @@ def test_of_two_limits_the_one_that_is_met_first_cuts_short(cart: Make, limits: 
 def test_all_options_may_be_forbidden_while_none_has_to_be_chosen(cart: Make) -> None:
     midst = "augment={midst: 'time > 70 ms and time < 110 ms'}"
     choice = "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: midst, back: midst}}"
-    environment = cart(THREE, midst, choice)
-    environment.reset(seed=0)
+    environment = begun(cart(THREE, midst, choice))
     for _ in range(2):
         environment.step(0)
     assert environment.action_masks().all()
@@ -362,8 +363,7 @@ def test_a_message_arrives_in_the_midst_of_a_step(cart: Make, late: str, rewards
 
 
 def test_a_step_without_a_value_names_it_also_in_the_midst(cart: Make) -> None:
-    environment = cart(THREE, 'reward={bad: "1 / (time - 40 ms) * s"}')
-    environment.reset(seed=0)
+    environment = begun(cart(THREE, 'reward={bad: "1 / (time - 40 ms) * s"}'))
     with pytest.raises(EvaluationError, match="step 1"):
         environment.step(np.zeros(1))
 
@@ -524,8 +524,9 @@ def test_each_copy_does_what_it_would_do_alone(copies: Make, engine: str, overri
 
 
 def test_copies_stand_in_a_row_around_the_place_of_the_robot(copies: Make) -> None:
-    environment = copies("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
-    environment.reset(seed=0)
+    environment = begun(
+        copies("robots.cart.count=4", "robots.cart.spacing=0.5 1 0 m", "robots.cart.pose={x: 1 m}")
+    )
     places = [member.engine.pose("cart")()[0] for member in environment.agents.values()]
     assert places == [(0.25, -1.5, 0.0), (0.75, -0.5, 0.0), (1.25, 0.5, 0.0), (1.75, 1.5, 0.0)]
 
@@ -541,8 +542,7 @@ def test_an_environment_has_its_agents_by_name(copies: Make) -> None:
 
 
 def test_a_copy_means_itself_by_the_name_of_the_robot(copies: Make) -> None:
-    environment = copies()
-    environment.reset(seed=0)
+    environment = begun(copies())
     world, first, second = (
         environment.engine,
         *(environment.agents[name].engine for name in ("cart#1", "cart#2")),
@@ -579,8 +579,7 @@ def test_the_episode_ends_for_all_when_it_ends_for_one(copies: Make) -> None:
 
 
 def test_the_reward_is_the_mean_and_each_has_its_own(copies: Make) -> None:
-    environment = copies(CALM, "reward={still: 1, pushed: drive}")
-    environment.reset(seed=0)
+    environment = begun(copies(CALM, "reward={still: 1, pushed: drive}"))
     _, reward, _, _, info = environment.step(np.array([0, 1, 0]))
     assert (info["each"]["reward"], reward) == ((2.0, 0.0, 2.0), pytest.approx(4 / 3))
     assert info["reward_terms"] == pytest.approx({"still": 1.0, "pushed": 1 / 3})
@@ -606,8 +605,7 @@ def test_limits_cut_all_short(copies: Make) -> None:
 
 
 def test_a_limit_at_which_every_copy_succeeds_is_a_success(copies: Make) -> None:
-    environment = copies("truncation={max_steps: {limit: 2, success: all}}", "termination={}")
-    environment.reset(seed=0)
+    environment = begun(copies("truncation={max_steps: {limit: 2, success: all}}", "termination={}"))
     environment.step(np.zeros(3, int))
     *_, truncated, info = environment.step(np.zeros(3, int))
     assert (truncated, info["is_success"]) == (True, True)
@@ -628,13 +626,14 @@ def test_draws_are_each_copys_own_and_parameters_are_shared(copies: Make) -> Non
 
 
 def test_channels_of_copies_share_no_draw(copies: Make) -> None:
-    environment = copies(
-        "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50"
-        " %}}",
-        "reward={a: 1 when message_received(cart)}",
-        "termination={}",
+    environment = begun(
+        copies(
+            "messages={to_robot: {loss: 50 %}, from_robot: {latency: uniform(0 .. 100 ms) each step, loss: 50"
+            " %}}",
+            "reward={a: 1 when message_received(cart)}",
+            "termination={}",
+        )
     )
-    environment.reset(seed=0)
     rewards = np.array([environment.step(np.zeros(3, int))[4]["each"]["reward"] for _ in range(60)])
     for first, second in ((0, 1), (1, 2), (0, 2)):
         assert 10 < np.sum(rewards[:, first] == rewards[:, second]) < 50
@@ -662,21 +661,21 @@ RANGE = "action={drive: -1 .. 1}"
 def test_an_action_that_does_not_fit_changes_nothing(
     copies: Make, bad: Any, settings: tuple[str, ...]
 ) -> None:
-    environment = copies(*settings)
-    environment.reset(seed=0)
+    environment = begun(copies(*settings))
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(bad)
     assert environment.agents["cart#1"].step_count == 0
 
 
 def test_copies_act_by_choices_and_ranges_together(copies: Make) -> None:
-    environment = copies(
-        CALM,
-        "cart_speed=0.1 m/s",
-        "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}",
-        source=COPIES.with_name("mixed_copies.yaml"),
+    environment = begun(
+        copies(
+            CALM,
+            "cart_speed=0.1 m/s",
+            "reward={speed: joint_velocity(cart.slider) / (0.1 m/s)}",
+            source=COPIES.with_name("mixed_copies.yaml"),
+        )
     )
-    environment.reset(seed=0)
     action = {"choices": np.array([0, 1, 0]), "ranges": np.array([[1.0], [1.0], [-1.0]])}
     for _ in range(3):
         each = environment.step(action)[4]["each"]
@@ -688,8 +687,7 @@ def test_copies_act_by_choices_and_ranges_together(copies: Make) -> None:
 
 
 def test_an_error_in_a_copy_names_the_expression(copies: Make) -> None:
-    environment = copies(CALM, 'reward={bad: "1 / (step - 2)"}')
-    environment.reset(seed=0)
+    environment = begun(copies(CALM, 'reward={bad: "1 / (step - 2)"}'))
     environment.step(np.zeros(3, int))
     with pytest.raises(EvaluationError, match="step 2: no value for"):
         environment.step(np.zeros(3, int))

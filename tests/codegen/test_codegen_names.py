@@ -34,7 +34,7 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.scalar import NamedFloat
 from deepbots_cli.runtime.spaces import observation_space
 from tests.few import every
-from tests.worlds import CART, Make
+from tests.worlds import CART, Make, begun
 
 # Python's words, the words of generated code, and what the compiler would call its own variables.
 AWKWARD = [
@@ -130,8 +130,7 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
         assert bool(checked.findings.errors) == (name in RESERVED), list(checked.findings)
         if checked.findings.errors:
             return
-        environment = api.make(checked, engine="exact")
-        environment.reset(seed=0)
+        environment = begun(api.make(checked, engine="exact"))
         for _ in range(4):
             observation, reward, _, _, info = environment.step(np.array([0.5]))
             rows.append((observation.tolist(), reward, list(info["reward_terms"].values())))
@@ -141,15 +140,15 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
 
 @pytest.mark.parametrize("name", ["class", "None", "lambda", "Any", "float", "Supervisor"])
 def test_a_name_of_a_scenario_that_is_a_word_of_python_gives_a_class(tmp_path: Path, name: str) -> None:
-    environment = api.make(api.load(scenario(tmp_path, name=f'"{name}"')), engine="exact")
-    environment.reset(seed=0)
+    environment = begun(api.make(api.load(scenario(tmp_path, name=f'"{name}"')), engine="exact"))
     environment.close()
 
 
 @pytest.mark.parametrize("names", [("robot", "other"), ("arm_1", "arm1")])
 def test_each_robot_has_a_controller_of_its_own(make: Make, names: tuple[str, str]) -> None:
     first, second = names
-    environment = make(f"""\
+    environment = begun(
+        make(f"""\
 deepbots: 1
 name: Two
 world: {{timestep: 20 ms}}
@@ -168,7 +167,7 @@ observation: {{{first}.smooth: -1 .. 1 m}}
 reward: {{apart: "(joint_position({first}.slider) - joint_position({second}.slider)) / m"}}
 truncation: {{max_steps: 10}}
 """)
-    environment.reset(seed=0)
+    )
     assert [environment.step([1.0])[1] for _ in range(5)][-1] > 0.01
 
 
@@ -241,8 +240,7 @@ ALIVE = "reward: {alive: 1}\n"
 def test_a_sum_over_three_memories_drives_a_motor(make: Make, function: str) -> None:
     tau = ", 0.1 s" if function == "low_pass" else ""
     sum_of_three = f"sum({function}(vector(place, place, place){tau}))"
-    environment = make(CART.replace("drive * 0.02 m/s", f'"(0.3 m - {sum_of_three}) / s"') + ALIVE)
-    environment.reset(seed=0)
+    environment = begun(make(CART.replace("drive * 0.02 m/s", f'"(0.3 m - {sum_of_three}) / s"') + ALIVE))
     for _ in range(60):
         observation, *_ = environment.step([0.0])
     # The motor moves until three times the place is 0.3 m.
@@ -269,8 +267,7 @@ reward:
 
 def test_a_sum_over_three_memories_is_sent_to_a_robot(make: Make) -> None:
     aim = '    receive: {aim: "sum(running_max(vector(0 m, 0 m, time * 1 m/s)))"}\n    apply:'
-    environment = make(CART.replace("    apply:", aim).replace("drive * 0.02 m/s", "aim / s") + ALIVE)
-    environment.reset(seed=0)
+    environment = begun(make(CART.replace("    apply:", aim).replace("drive * 0.02 m/s", "aim / s") + ALIVE))
     for _ in range(50):
         observation, *_ = environment.step([0.0])
     # The speed is the time: 0.5 m after 1 s, less one timestep.

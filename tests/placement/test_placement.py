@@ -32,7 +32,7 @@ from deepbots_cli.frames import Triple, quaternion
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.overview import extent
 from deepbots_cli.runtime.paths import DistanceField
-from tests.worlds import SCENARIOS, Make
+from tests.worlds import SCENARIOS, Make, begun
 
 WORLD = """\
 deepbots: 1
@@ -71,8 +71,7 @@ def starts(environment: Supervisor, seed: int, count: int) -> Iterator[Superviso
 
 
 def test_contact_terms_name_what_touches_what(make: Make) -> None:
-    environment = make(WORLD)
-    environment.reset(seed=0)
+    environment = begun(make(WORLD))
     steps = []
     for _ in range(100):
         terms = environment.step(np.array([1.0]))[4]["reward_terms"]
@@ -132,8 +131,7 @@ def test_absent_copies_touch_nothing_and_are_not_a_gap(make: Make) -> None:
 
 @pytest.mark.slow
 def test_layouts_are_drawn_in_their_shares(make: Make) -> None:
-    environment = make(GROUPED)
-    environment.reset(seed=1)
+    environment = begun(make(GROUPED), seed=1)
     drawn: Counter[str] = Counter()
     draw = environment.bodies.layout
 
@@ -286,8 +284,7 @@ def test_boxes_and_meshes_do_not_overlap_wherever_the_origin_of_a_mesh_is(
 def test_objects_without_a_height_rest_on_the_ground_and_robots_stand_on_it(
     make: Make,
 ) -> None:
-    environment = make(PLACED)
-    environment.reset(seed=0)
+    environment = begun(make(PLACED))
     heights = [position[2] for position, _ in poses_of(environment, "ball", "plank", "mark", "hunter")]
     assert heights == pytest.approx([0.07, 0.15, 0.005, 0.0], abs=1e-9)
 
@@ -321,8 +318,7 @@ reset: {place: {post: {x: 0 m, y: 0 m}, cart: {x: 0.9 m, y: 0.9 m}, disc: {regio
 
 def test_spots_are_uniform_over_what_is_free(make: Make) -> None:
     """Counts in 16 cells of equal size against the free area of each, known in closed form by symmetry."""
-    environment = make(ALONE)
-    environment.reset(seed=0)
+    environment = begun(make(ALONE))
     count = 4000
     cells = np.zeros((4, 4))
     place = environment._begin
@@ -452,8 +448,7 @@ def test_a_table_that_is_drawn_is_placed_first_and_takes_what_stands_on_it_along
 
 
 def test_bodies_stack_on_what_stands_on_a_table(make: Make) -> None:
-    environment = make(TABLE)
-    environment.reset(seed=4)
+    environment = begun(make(TABLE), seed=4)
     (x, y, z), _ = environment.engine.pose("crate")()
     for copy in ("coin#1", "coin#2", "coin#3"):
         (cx, cy, cz), _ = environment.engine.pose(copy)()
@@ -462,8 +457,7 @@ def test_bodies_stack_on_what_stands_on_a_table(make: Make) -> None:
 
 
 def test_a_height_counts_from_the_top(make: Make) -> None:
-    environment = make(TABLE, "reset.place.block={on: table, z: 0.3 m}")
-    environment.reset(seed=5)
+    environment = begun(make(TABLE, "reset.place.block={on: table, z: 0.3 m}"), seed=5)
     assert on_the_table(environment, "block")[2] == pytest.approx(0.3, abs=1e-9)
 
 

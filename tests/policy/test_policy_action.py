@@ -19,7 +19,7 @@ from deepbots_cli import api
 from deepbots_cli.errors import EvaluationError, UsageError
 from deepbots_cli.rollout.drivers import repeated_actions, zero_action
 from deepbots_cli.runtime import Supervisor
-from tests.worlds import SCENARIOS, Make
+from tests.worlds import SCENARIOS, Make, begun
 
 MIXED = "action={drive: -1 .. 1, gear: {choices: {low: 1, high: 3}, forbid: {high: step < 1}}, tilt: 0 .. 4}"
 REWARD = "reward: {drive: drive, gear: 10 * gear, tilt: 100 * tilt}\n"
@@ -30,8 +30,7 @@ def act(gear: Any, *ranges: float) -> dict[str, Any]:
 
 
 def test_choices_and_ranges_together_are_a_dict(small: Make) -> None:
-    environment = small(REWARD, MIXED)
-    environment.reset(seed=0)
+    environment = begun(small(REWARD, MIXED))
     assert environment.step(act(1, 0.5, 0))[1] == 0.5 + 30 + 200
     assert environment.step(act(np.int64(0), -1, 1))[1] == -1 + 10 + 400
     for _ in range(20):
@@ -55,8 +54,7 @@ def test_masks_of_the_choices_go_with_samples_of_the_dict(small: Make) -> None:
 
 @pytest.mark.parametrize("form", [list, tuple, lambda array: array.astype(float)])
 def test_both_parts_may_come_in_usual_forms(small: Make, form: Callable[[Any], Any]) -> None:
-    environment = small(REWARD, MIXED)
-    environment.reset(seed=0)
+    environment = begun(small(REWARD, MIXED))
     action = {"choices": np.array(1), "ranges": form(np.array([0.5, 0.0], np.float32))}
     assert environment.step(action)[1] == 230.5
 
@@ -79,16 +77,14 @@ BAD = [
 
 @pytest.mark.parametrize("action", BAD, ids=str)
 def test_what_does_not_fit_is_refused_and_changes_nothing(small: Make, action: Any) -> None:
-    environment = small(REWARD, MIXED)
-    environment.reset(seed=0)
+    environment = begun(small(REWARD, MIXED))
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(action)
     assert environment.step_count == 0
 
 
 def test_an_action_of_both_can_be_scripted_and_left_alone(small: Make) -> None:
-    environment = small(REWARD, MIXED)
-    environment.reset(seed=0)
+    environment = begun(small(REWARD, MIXED))
     assert environment.step(repeated_actions(environment, "0.5:high:-1").act(None))[1] == 0.5 + 30 + 0
     assert environment.step(zero_action(environment.action_space))[1] == 0 + 10 + 200
 
@@ -156,17 +152,15 @@ def test_without_conditions_every_option_is_allowed_and_the_info_says_nothing(sm
 
 
 def test_ranges_have_no_masks(small: Make) -> None:
-    environment = small(PAY)
-    environment.reset(seed=0)
+    environment = begun(small(PAY))
     with pytest.raises(UsageError, match="no"):
         environment.action_masks()
 
 
 def test_a_state_in_which_nothing_is_allowed_is_an_error_that_names_the_options(small: Make) -> None:
-    environment = small(
-        PAY, "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: step > 1, back: step > 1}}"
+    environment = begun(
+        small(PAY, "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: step > 1, back: step > 1}}")
     )
-    environment.reset(seed=0)
     environment.step(0)
     with pytest.raises(EvaluationError, match="every option of 'drive' is forbidden: ahead, back"):
         environment.step(0)
@@ -174,8 +168,7 @@ def test_a_state_in_which_nothing_is_allowed_is_an_error_that_names_the_options(
 
 def test_nothing_needs_to_be_allowed_once_an_episode_has_ended(small: Make) -> None:
     forbid = "action.drive={choices: {ahead: 1, back: -1}, forbid: {ahead: step > 1, back: step > 1}}"
-    environment = small(PAY, forbid, "truncation.max_steps=2")
-    environment.reset(seed=0)
+    environment = begun(small(PAY, forbid, "truncation.max_steps=2"))
     environment.step(0)
     assert environment.step(0)[3]
 
@@ -196,23 +189,20 @@ def actions_of_script(environment: Supervisor, name: str, steps: int) -> list[An
 
 # What a script gives
 def test_an_option_that_is_named_is_taken_always(small: Make) -> None:
-    environment = small(PAY + "scripts: {rest: {drive: stay}}\n", CHOICE)
-    environment.reset(seed=0)
+    environment = begun(small(PAY + "scripts: {rest: {drive: stay}}\n", CHOICE))
     assert actions_of_script(environment, "rest", 3) == [2, 2, 2]
 
 
 def test_the_first_option_whose_condition_holds_is_taken(small: Make) -> None:
     rules = "scripts: {turns: {drive: {back: step >= 2 and step < 4, ahead: step >= 3, stay: true}}}\n"
-    environment = small(PAY + rules, CHOICE)
-    environment.reset(seed=0)
+    environment = begun(small(PAY + rules, CHOICE))
     assert actions_of_script(environment, "turns", 6) == [2, 2, 1, 1, 0, 0]
 
 
 def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Make) -> None:
     script = "scripts: {late: {drive: 10 mm + step * 20 mm}}\n"
     overrides = ("action.drive=20 .. 60 mm", "robots.cart.apply.motor=drive / s")
-    environment = small("reward: {pay: drive / mm}\n" + script, *overrides)
-    environment.reset(seed=0)
+    environment = begun(small("reward: {pay: drive / mm}\n" + script, *overrides))
     pays = [environment.step(environment.script("late"))[1] for _ in range(5)]
     assert pays == pytest.approx([20, 30, 50, 60, 60], abs=1e-5)
     assert environment.script("late").dtype == np.float32
@@ -220,8 +210,9 @@ def test_a_value_is_in_the_unit_of_the_range_and_clamped_to_it(small: Make) -> N
 
 
 def test_a_constant_beyond_the_range_is_clamped_too(small: Make) -> None:
-    environment = small(PAY + "scripts: {much: {drive: 7}, little: {drive: -7}}\n", "action.drive=-2 .. 6")
-    environment.reset(seed=0)
+    environment = begun(
+        small(PAY + "scripts: {much: {drive: 7}, little: {drive: -7}}\n", "action.drive=-2 .. 6")
+    )
     assert (environment.script("much").tolist(), environment.script("little").tolist()) == ([1.0], [-1.0])
 
 
@@ -247,8 +238,9 @@ def test_several_choices_are_an_array_and_stand_in_the_order_of_the_action() -> 
 
 def test_choices_beside_ranges_are_a_dictionary(small: Make) -> None:
     action = "action={drive: -1 .. 1, gear: {choices: {low: 1, high: 3}}}"
-    environment = small("reward: {pay: drive * gear}\nscripts: {go: {gear: high, drive: 0.5}}\n", action)
-    environment.reset(seed=0)
+    environment = begun(
+        small("reward: {pay: drive * gear}\nscripts: {go: {gear: high, drive: 0.5}}\n", action)
+    )
     assert environment.action_space.contains(environment.script("go"))
     assert environment.step(environment.script("go"))[1] == 1.5
 
@@ -268,8 +260,7 @@ def test_a_script_sees_what_arrived_and_what_is_true(small: Make) -> None:
     sections = (
         PAY + "scripts: {told: {drive: cart.place / m}, truth: {drive: joint_position(cart.slider) / m}}\n"
     )
-    environment = small(sections, "messages.timing=delayed")
-    environment.reset(seed=0)
+    environment = begun(small(sections, "messages.timing=delayed"))
     for _ in range(3):
         environment.step(np.array([1.0], np.float32))
     received, truth = environment.script("told").item(), environment.script("truth").item()
@@ -281,8 +272,7 @@ def test_a_script_sees_signals_with_a_memory_and_its_own_last_action(small: Make
     sections = 'signals: {trail: "accumulate(0.1, 0 .. 1, 0)"}\n' + PAY
     sections += "scripts: {by_signal: {drive: trail}, by_action: {drive: previous_action.drive + 0.25}, "
     sections += "by_variable: {drive: drive + 0.25}}\n"
-    environment = small(sections)
-    environment.reset(seed=0)
+    environment = begun(small(sections))
     assert np.concatenate(actions_of_script(environment, "by_signal", 4)).tolist() == pytest.approx(
         [0, 0.1, 0.2, 0.3]
     )
@@ -299,8 +289,7 @@ def test_a_script_reads_the_reward_of_the_last_step(small: Make, repeat: int) ->
         "reward: {pay: 0.01 * (step + 1)}\nscripts: {last: {drive: previous_reward}, sum: {drive:"
         " episode_return}}\n"
     )
-    environment = small(sections, f"agent.action_repeat={repeat}")
-    environment.reset(seed=0)
+    environment = begun(small(sections, f"agent.action_repeat={repeat}"))
     rewards = [0.0]
     for _ in range(4):
         assert environment.script("last").item() == pytest.approx(rewards[-1], abs=1e-7)
@@ -332,8 +321,7 @@ def test_a_script_that_asks_what_nothing_else_asks_gets_true_answers() -> None:
 
 def test_the_age_of_a_reading_is_known_to_a_script(small: Make) -> None:
     sensor = "robots.cart.sensors.rate={type: joint_velocity, joint: slider, latency: 60 ms}"
-    environment = small(PAY + "scripts: {old: {drive: age(cart.rate) / s}}\n", sensor)
-    environment.reset(seed=0)
+    environment = begun(small(PAY + "scripts: {old: {drive: age(cart.rate) / s}}\n", sensor))
     assert np.concatenate(actions_of_script(environment, "old", 6)).tolist()[-1] == pytest.approx(0.06)
 
 
@@ -392,15 +380,13 @@ def test_a_script_is_asked_while_an_episode_runs(small: Make) -> None:
 
 
 def test_a_scenario_without_scripts_says_so(small: Make) -> None:
-    environment = small(PAY)
-    environment.reset(seed=0)
+    environment = begun(small(PAY))
     with pytest.raises(UsageError, match="has no scripts"):
         environment.script("__init__")
 
 
 def test_a_script_without_a_value_is_an_error_that_shows_where(small: Make) -> None:
-    environment = small(PAY + "scripts: {go: {drive: 1 / (step - 1)}}\n")
-    environment.reset(seed=0)
+    environment = begun(small(PAY + "scripts: {go: {drive: 1 / (step - 1)}}\n"))
     environment.step(environment.script("go"))
     with pytest.raises(EvaluationError, match=r"no value for `return make_action\(.*division"):
         environment.script("go")

@@ -25,7 +25,7 @@ from deepbots_cli.learning.learner import Setup
 from deepbots_cli.learning.policy import Policy
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.spaces import Observer
-from tests.worlds import CART, Make, Maker
+from tests.worlds import CART, Make, Maker, begun
 
 
 def observe(
@@ -109,8 +109,7 @@ def test_a_policy_sees_what_its_observation_lists(small: Make, case: str) -> Non
 
 def test_an_expression_may_use_the_previous_action(small: Make) -> None:
     sections = "reward: {pay: previous_action.drive, more: 1 when previous_action.drive > 0}\n"
-    environment = small(sections, "action.drive=0 .. 0.5")
-    environment.reset(seed=0)
+    environment = begun(small(sections, "action.drive=0 .. 0.5"))
     assert environment.step(np.array([0.5], np.float32))[1] == 1.5
 
 
@@ -226,11 +225,12 @@ def test_what_is_not_clipped_leaves_its_range_and_has_an_unbounded_space(small: 
 
 
 def test_an_unbounded_value_that_is_not_finite_is_an_error_and_no_observation(small: Make) -> None:
-    environment = small(
-        "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n",
-        "observation={wild: {range: 0 .. 1, clip: false}}",
+    environment = begun(
+        small(
+            "signals: {wild: exp(400 * step)}\naugment: [wild]\nreward: {pay: drive}\n",
+            "observation={wild: {range: 0 .. 1, clip: false}}",
+        )
     )
-    environment.reset(seed=0)
     with pytest.raises(EvaluationError, match="observation of"):
         environment.step(np.zeros(1, np.float32))
 
@@ -460,12 +460,13 @@ def test_an_episode_that_is_cut_short_succeeds_if_the_goal_is_reached_then(small
 
 
 def test_reaching_the_goal_may_end_the_task(small: Make) -> None:
-    environment = small(
-        GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n",
-        "world.timestep=1 s",
-        "reset.joints={cart.slider: 0.39 m}",
+    environment = begun(
+        small(
+            GOAL + SPARSE + "termination: {success: {there: goal_reached}}\n",
+            "world.timestep=1 s",
+            "reset.joints={cart.slider: 0.39 m}",
+        )
     )
-    environment.reset(seed=0)
     for _ in range(60):
         _, reward, terminated, _, info = environment.step(np.array([-1], np.float32))
         if terminated:
@@ -679,8 +680,7 @@ def test_with_permission_it_is_a_warning_and_nothing_is_imported_to_compile(
 
 
 def test_terms_in_python_are_called_with_the_supervisor(write_scenario: Callable[[str], Path]) -> None:
-    environment = api.make(write_scenario(TERMS), permissions=Permissions(code=True), engine="exact")
-    environment.reset(seed=0)
+    environment = begun(api.make(write_scenario(TERMS), permissions=Permissions(code=True), engine="exact"))
     _, reward, terminated, _, info = environment.step(np.array([0.5], np.float32))
     truth = environment.engine.pose("cart", "cart")()[0][0]
     assert info["reward_terms"] == {"pay": 0.5, "tall": pytest.approx(truth + 2)}
@@ -714,12 +714,13 @@ def test_the_error_of_a_missing_function_names_it(write_scenario: Callable[[str]
 def test_what_goes_wrong_in_a_function_names_the_term(
     write_scenario: Callable[[str], Path], function: str
 ) -> None:
-    environment = api.make(
-        write_scenario(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"),
-        permissions=Permissions(code=True),
-        engine="exact",
+    environment = begun(
+        api.make(
+            write_scenario(f"reward: {{tall: {{python: 'students.terms:{function}'}}}}\n"),
+            permissions=Permissions(code=True),
+            engine="exact",
+        )
     )
-    environment.reset(seed=0)
     with pytest.raises(
         EvaluationError, match=f"step 1: the reward term 'tall' in Python .students.terms:{function}."
     ):

@@ -60,7 +60,7 @@ from deepbots_cli.program.world import (
 from deepbots_cli.robots.model import Sphere
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.paths import Follower
-from tests.worlds import Make
+from tests.worlds import Make, begun
 
 
 def gray_png(rows: list[list[int]], depth: int = 1, filtering: int = 0) -> bytes:
@@ -528,8 +528,7 @@ def observed_values(environment: Supervisor) -> dict[str, float]:
 def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
     make: Make,
 ) -> None:
-    environment = make(YARD)
-    environment.reset(seed=0)
+    environment = begun(make(YARD))
     values = observed_values(environment)
     assert values["to_bay"] == pytest.approx(0.39 - 0.22, abs=2e-3)
     assert values["to_nook"] == pytest.approx(
@@ -543,8 +542,7 @@ def test_a_wall_and_the_arena_can_be_named_in_gap_and_the_least_distance_counts(
     ("velocity", "wall"), [("2 0 0 m/s", "touched"), ("0 4 0 m/s", "fenced")], ids=["a wall", "the arena"]
 )
 def test_contact_and_collided_tell_walls_and_the_arena_apart(make: Make, velocity: str, wall: str) -> None:
-    environment = make(YARD, f"reset.place.puck.velocity={velocity}")
-    environment.reset(seed=0)
+    environment = begun(make(YARD, f"reset.place.puck.velocity={velocity}"))
     felt = set()
     for _ in range(15):
         environment.step([0.0])
