@@ -35,6 +35,7 @@ from deepbots_cli.runtime.agents import combined_action, seats_of
 from tests.agents.carts import CARTS, OF_ONE, OF_TWO, scenario_fixture, write_scenario
 from tests.commands import Deepbots
 from tests.few import few
+from tests.files import written
 from tests.golden.cases import mistakes
 
 
@@ -96,8 +97,7 @@ several = scenario_fixture(SEVERAL)
 def test_agents_see_and_earn_what_one_agent_that_drives_all_robots_does(
     several: Path, tmp_path: Path
 ) -> None:
-    file = tmp_path / "one.yaml"
-    file.write_text(ONE)
+    file = written(tmp_path / "one.yaml", ONE)
     with closing(api.make(several)) as world, closing(api.make(file)) as same:
         seats = seats_of(world)
         observed, _ = world.reset(seed=3)
@@ -162,11 +162,11 @@ def test_a_rival_without_an_agent_or_a_driver_is_a_wrong_use(several: Path, word
     assert main(["try", str(several), *words]) == 2
 
 
-def test_a_rival_whose_name_is_an_emoji_is_named_in_the_finding(
-    several: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["try", str(several), "--agent", "right", "--against", "left=🤖"]) == 1
-    assert "there is no driver of `left` `🤖`" in capsys.readouterr().err
+def test_a_rival_whose_name_is_an_emoji_is_named_in_the_finding(several: Path, deepbots: Deepbots) -> None:
+    assert (
+        "there is no driver of `left` `🤖`"
+        in deepbots("try", several, "--agent", "right", "--against", "left=🤖", code=1).err
+    )
 
 
 def test_a_run_of_a_mirrored_agent_has_the_learner_that_was_chosen_for_it(several: Path) -> None:
@@ -501,14 +501,14 @@ def test_losses_are_drawn_for_each_pair_and_repeat_with_the_seed(hearing_carts: 
 
 
 def test_a_robot_of_the_same_agent_is_heard_too(tmp_path: Path) -> None:
-    file = tmp_path / "one.yaml"
-    file.write_text(
+    file = written(
+        tmp_path / "one.yaml",
         "deepbots: 1\nextends: cartpole\nname: Pair\nmessages: {format: struct}\n"
         "robots:\n  cart: {hear: {other_angle: other.lean}}\n"
         "  other:\n    urdf: cartpole\n    pose: {y: 30 cm}\n"
         "    sensors: {lean: {type: joint_position, joint: pole_hinge}}\n"
         "observation: {cart.other_angle: -20 .. 20 deg}\n"
-        "reset: {joints: {other.pole_hinge: 3 deg}}\n"
+        "reset: {joints: {other.pole_hinge: 3 deg}}\n",
     )
     with closing(api.make(file)) as world:
         observed, _ = world.reset(seed=0)
@@ -595,17 +595,16 @@ def test_a_test_expects_the_results_of_one_agent(tested_carts: Path, deepbots: D
     assert [test["steps"] for test in scenario["tests"]][2:] == [5, 3]
 
 
-def test_a_failed_test_shows_the_command_with_both_drivers(
-    tested_carts: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_failed_test_shows_the_command_with_both_drivers(tested_carts: Path, deepbots: Deepbots) -> None:
     tested_carts.write_text((CARTS + TESTS).replace("success_rate: 100 %", "success_rate: 0 .. 10 %"))
-    assert main(["test", str(tested_carts), "-k", "right_wins", "--json"]) == 1
-    (scenario,) = json.loads(capsys.readouterr().out)["scenarios"]
+    (scenario,) = json.loads(deepbots("test", tested_carts, "-k", "right_wins", "--json", code=1).out)[
+        "scenarios"
+    ]
     ((miss,),) = [test["misses"] for test in scenario["tests"]]
     assert miss["measured"].startswith("1 of 1 episodes")
     words = miss["command"].split()
-    assert (words[:2], main(["try", *words[2:-2], "--episodes", "1", "--json"])) == (["deepbots", "view"], 0)
-    (episode,) = json.loads(capsys.readouterr().out)["episodes"]
+    assert words[:2] == ["deepbots", "view"]
+    (episode,) = json.loads(deepbots("try", *words[2:-2], "--episodes", "1", "--json").out)["episodes"]
     assert episode["ended_by"] == "left_fell"
     assert episode["success"]
 

@@ -162,8 +162,10 @@ def test_the_overview_has_at_most_36_commands_in_groups_and_begins_with_three(de
 @pytest.mark.parametrize("joint", [" ", "="])
 def test_an_option_that_is_gone_says_what_to_do_instead(deepbots, words, instead, joint):
     verb = "export" if words.startswith("--to") else "train"
-    ran = deepbots(verb, "cartpole", *words.replace(" ", joint).split(), code=2)
-    assert f"{words} is gone; {instead}" in ran.err
+    assert (
+        f"{words} is gone; {instead}"
+        in deepbots(verb, "cartpole", *words.replace(" ", joint).split(), code=2).err
+    )
 
 
 @pytest.mark.parametrize(("old", "new"), REPLACEMENTS.items())

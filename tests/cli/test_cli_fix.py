@@ -18,6 +18,7 @@ import pytest
 from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.learning.runs.run import RunRecord
+from tests.files import written
 from tests.named import with_defaults
 
 CARTPOLE = with_defaults(
@@ -301,8 +302,9 @@ GUESSES += [
 
 def test_a_guess_is_made_although_an_ending_holds_at_once(deepbots, scenario, tmp_path):
     scenario(CARTPOLE)
-    upon = tmp_path / "b.yaml"
-    upon.write_text("deepbots: 1\nextends: a.yaml\nreset: {joints: {cart.pole_hinge: 90 deg}}\n")
+    upon = written(
+        tmp_path / "b.yaml", "deepbots: 1\nextends: a.yaml\nreset: {joints: {cart.pole_hinge: 90 deg}}\n"
+    )
     assert "DB806" in deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes", code=1).out
     assert upon.read_text().endswith("{cart.pole_hinge: 74.48 deg}}\n")
 
@@ -324,8 +326,7 @@ GUESSES += [
 @pytest.mark.parametrize(("wrong", "right"), GUESSES)
 def test_a_guess_keeps_what_was_written_and_makes_it_whole(deepbots, scenario, tmp_path, wrong, right):
     scenario(CARTPOLE)
-    upon = tmp_path / "b.yaml"
-    upon.write_text(f"deepbots: 1\nextends: a.yaml\n{wrong}  # why\n")
+    upon = written(tmp_path / "b.yaml", f"deepbots: 1\nextends: a.yaml\n{wrong}  # why\n")
     deepbots("lint", "b.yaml", "--fix", code=None)
     assert wrong in upon.read_text()
     deepbots("lint", "b.yaml", "--fix", "--unsafe-fixes")

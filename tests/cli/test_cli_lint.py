@@ -157,8 +157,9 @@ def test_standard_input_is_linted_as_the_file_that_it_is_of(deepbots, files, mon
     (files / "worlds").mkdir()
     (files / "worlds" / "base.yaml").write_text(CARTPOLE)
     feed(monkeypatch, b"deepbots: 1\nextends: base.yaml\nsummary: on\n")
-    ran = deepbots("lint", "-", "--stdin-filename", "worlds/unsaved.yaml", "--format", "concise")
-    assert ran.out.startswith("worlds/unsaved.yaml:3:10: warning DB003")
+    assert deepbots(
+        "lint", "-", "--stdin-filename", "worlds/unsaved.yaml", "--format", "concise"
+    ).out.startswith("worlds/unsaved.yaml:3:10: warning DB003")
     feed(monkeypatch, CARTPOLE.replace("truncation:", "truncaton:").encode())
     assert "--fix" not in deepbots("lint", "-", code=1).err  # which takes files only
 
@@ -280,16 +281,19 @@ def parked(deepbots, tmp_path):
 
 
 def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepbots, parked):
-    ran = deepbots(
-        "lint", "parked.yaml", "--exploits", "--select", "DB713", "--fail-on", "warning", "--json", code=1
-    )
-    (finding,) = json.loads(ran.out)["findings"]
+    (finding,) = json.loads(
+        deepbots(
+            "lint", "parked.yaml", "--exploits", "--select", "DB713", "--fail-on", "warning", "--json", code=1
+        ).out
+    )["findings"]
     assert (finding["code"], finding["file"], finding["start"]["line"]) == ("DB713", "parked.yaml", 5)
     assert (
         finding["notes"][-1] == "`deepbots view exploits/parked/pays-without-success.mcap` shows the episode"
     )
-    verified = deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap")
-    assert verified.out.split(": ")[1] == "1 episode and 60 steps are the same to the bit\n"
+    assert (
+        deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap").out.split(": ")[1]
+        == "1 episode and 60 steps are the same to the bit\n"
+    )
     assert written_files.was_searched(api.compile("parked.yaml").program)
     assert not written_files.was_searched(api.compile("parked.yaml", overrides=["reward.high=0"]).program)
 
@@ -301,8 +305,10 @@ def test_a_search_replaces_the_recordings_of_an_earlier_one_and_no_other_file(de
     kept.parent.mkdir(parents=True)
     for file in (kept, old):
         file.touch()
-    ran = deepbots("lint", "parked.yaml", "--exploits", "--ignore", "DB7")
-    assert ran.out == "parked.yaml: no findings among the selected rules, including the search for exploits\n"
+    assert (
+        deepbots("lint", "parked.yaml", "--exploits", "--ignore", "DB7").out
+        == "parked.yaml: no findings among the selected rules, including the search for exploits\n"
+    )
     assert sorted(file.name for file in kept.parent.iterdir()) == [
         "mine.mcap",
         "pays-without-success.mcap",
@@ -320,8 +326,10 @@ def test_a_damaged_record_counts_as_no_search(deepbots, parked, content):
 
 def test_a_folder_that_cannot_be_written_is_named_before_the_search(deepbots, parked):
     (parked / "exploits").touch()
-    ran = deepbots("lint", "parked.yaml", "--exploits", code=2)
-    assert ran.err == f"error: exploits/parked cannot be written: {parked / 'exploits'} is not a directory\n"
+    assert (
+        deepbots("lint", "parked.yaml", "--exploits", code=2).err
+        == f"error: exploits/parked cannot be written: {parked / 'exploits'} is not a directory\n"
+    )
 
 
 @pytest.mark.parametrize(("module", "extra"), [("mcap", "sim"), ("gymnasium", "sim")])

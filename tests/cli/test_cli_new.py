@@ -104,8 +104,12 @@ def test_the_help_lists_every_template():
 )
 def test_the_script_of_a_wheeled_robot_finds_its_ball(deepbots, words):
     deepbots("new", "rolling", *words, "--json")
-    ran = deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "5", "--json")
-    assert json.loads(ran.out)["summary"]["success_rate"] == 1.0
+    assert (
+        json.loads(deepbots("try", "rolling.yaml", "--driver", "towards", "--episodes", "5", "--json").out)[
+            "summary"
+        ]["success_rate"]
+        == 1.0
+    )
 
 
 ROBOTS = {
@@ -372,8 +376,10 @@ def written(deepbots, tmp_path):
 @pytest.mark.parametrize("name", few(ODD_KINDS, ("tall_foot",)))
 def test_a_new_scenario_has_no_findings_even_when_it_is_simulated(deepbots, written, name):
     written(name, *(("--task", "roam") if name in ("spider", "odd_names") else ()))
-    ran = deepbots("lint", "first.yaml", "--deep", "--preview")
-    assert ran.out == "first.yaml: no findings, including the simulation\n"
+    assert (
+        deepbots("lint", "first.yaml", "--deep", "--preview").out
+        == "first.yaml: no findings, including the simulation\n"
+    )
 
 
 STARTERS = yaml.safe_load((ODD_ROBOTS.parent / "starters.yaml").read_text(encoding="utf-8"))
@@ -394,8 +400,12 @@ def test_a_scenario_says_what_the_parts_of_its_robot_are(deepbots, tmp_path, rob
 
 def test_a_legged_robot_stands_without_a_command(deepbots):
     deepbots("new", "first", "--urdf", "a1", "--json")
-    stood = deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json")
-    assert json.loads(stood.out)["summary"]["mean_length"] > 100
+    assert (
+        json.loads(deepbots("try", "first.yaml", "--driver", "zero", "--episodes", "2", "--json").out)[
+            "summary"
+        ]["mean_length"]
+        > 100
+    )
 
 
 def test_groups_and_poses_have_names_of_their_own():
@@ -538,8 +548,9 @@ def test_a_robot_that_no_simulation_can_begin_with_gets_no_scenario(deepbots, tm
 )
 def test_a_joint_that_moves_no_mass_gets_one_in_the_scenario(deepbots, written, inertial, shape, setting):
     assert f"a: {setting}" in written("massless", "--task", "follow", PART=f"{inertial}{shape}")
-    ran = deepbots("lint", "first.yaml", "--deep")
-    assert ran.out == "first.yaml: no findings, including the simulation\n"
+    assert (
+        deepbots("lint", "first.yaml", "--deep").out == "first.yaml: no findings, including the simulation\n"
+    )
 
 
 ODD = (
@@ -570,10 +581,14 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
     """It failed in the third of these episodes."""
     pytest.importorskip("pybullet_data")
     deepbots(*RACECAR)
-    ran = deepbots(
-        "try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json"
+    assert (
+        json.loads(
+            deepbots(
+                "try", "car.yaml", "--driver", "towards", "--episodes", "3", "--engine", "mujoco", "--json"
+            ).out
+        )["summary"]["successes"]
+        == 3
     )
-    assert json.loads(ran.out)["summary"]["successes"] == 3
 
 
 @pytest.mark.slow
@@ -581,8 +596,14 @@ def test_the_script_of_a_steered_robot_reaches_marks_behind_it(deepbots):
 def test_the_script_of_a_steered_robot_reaches_its_mark_from_fifty_starts(deepbots, engine):
     pytest.importorskip("pybullet_data")
     deepbots(*RACECAR)
-    ran = deepbots("try", "car.yaml", "--driver", "towards", "--episodes", "50", "--engine", engine, "--json")
-    assert json.loads(ran.out)["summary"]["successes"] == 50
+    assert (
+        json.loads(
+            deepbots(
+                "try", "car.yaml", "--driver", "towards", "--episodes", "50", "--engine", engine, "--json"
+            ).out
+        )["summary"]["successes"]
+        == 50
+    )
 
 
 @pytest.mark.slow

@@ -324,8 +324,10 @@ def test_an_interrupted_evaluation_shows_what_is_finished(deepbots, trained, cas
 
 
 def test_an_interruption_after_a_training_keeps_the_cases_that_are_evaluated(deepbots, cases):
-    ran = deepbots(*TINY, "--run", "cut", "--set", cases, code=130)
-    assert "interrupted; the training is finished, evaluate it with: deepbots eval cut" in ran.err
+    assert (
+        "interrupted; the training is finished, evaluate it with: deepbots eval cut"
+        in deepbots(*TINY, "--run", "cut", "--set", cases, code=130).err
+    )
     (path,) = Path("cut/evaluations").glob("*.json")
     assert [case["case"] for case in json.loads(path.read_text("utf-8"))["cases"]] == ["short"]
 
@@ -476,8 +478,10 @@ def test_a_group_is_trained_listed_evaluated_and_compared_as_one(deepbots):
         )
     again = deepbots("repeat", f"{group}/seed-2").out
     assert f"{group}/seed-2 and runs/cartpole-2-1: the same policy" in again
-    refused = deepbots("eval", group, "--baselines", code=2)
-    assert "--baselines does not go with a group; name one of its runs" in refused.err
+    assert (
+        "--baselines does not go with a group; name one of its runs"
+        in deepbots("eval", group, "--baselines", code=2).err
+    )
     shutil.copytree(group, "runs/other")
     ran = deepbots("compare", group, "runs/other", "--episodes", "5")
     assert any(words in ran.out for words in ("neither is clearly better", "neither is better"))
@@ -686,8 +690,7 @@ def test_a_confirmed_policy_plays_the_same_starts_in_every_engine(deepbots, conf
 
 
 def test_baselines_have_the_starts_of_a_confirmed_policy_that_a_requirement_stopped(deepbots, confirmed):
-    ran = deepbots("eval", "mine", "--min-return", "1000", "--baselines", "--json", code=1)
-    report = json.loads(ran.out)
+    report = json.loads(deepbots("eval", "mine", "--min-return", "1000", "--baselines", "--json", code=1).out)
     assert (report["seed"], report["episodes"]) == (7, 1)
     assert {(baseline["seed"], baseline["episodes"]) for baseline in report["baselines"]} == {(7, 1)}
 
@@ -708,8 +711,10 @@ def test_settings_of_an_evaluation_apply_to_the_scenario_that_it_names(deepbots,
 
 
 def test_settings_that_change_what_a_policy_sees_are_refused(deepbots, trained):
-    ran = deepbots("eval", "mine", "--set", "observation.x=-1 .. 1 m", code=2)
-    assert "observation.x: run -0.4 .. 0.4 m, scenario -1 .. 1 m" in ran.err
+    assert (
+        "observation.x: run -0.4 .. 0.4 m, scenario -1 .. 1 m"
+        in deepbots("eval", "mine", "--set", "observation.x=-1 .. 1 m", code=2).err
+    )
 
 
 def test_inspect_shows_what_a_run_is_and_the_scenario_that_it_was_trained_with(deepbots, trained):
@@ -748,8 +753,10 @@ def test_warnings_about_another_scenario_are_mentioned_with_a_command_that_can_b
     (tmp_path / "my cart.yaml").write_text(
         text.replace("termination:", "signals: {spare: abs(x)}\n\ntermination:")
     )
-    ran = deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1")
-    assert "1 warning; see: deepbots lint 'my cart.yaml'" in ran.err
+    assert (
+        "1 warning; see: deepbots lint 'my cart.yaml'"
+        in deepbots("eval", "mine", "--scenario", "my cart.yaml", "--episodes", "1").err
+    )
 
 
 @pytest.mark.parametrize(

@@ -862,5 +862,7 @@ def test_a_reward_for_staying_away_from_the_ball_loses_points(tmp_path: Path) ->
 def test_a_lesson_to_change_is_the_third(deepbots: Deepbots, tmp_path: Path) -> None:
     deepbots("new", "mine", tmp_path, "--lesson")
     assert read_lesson(tmp_path / "mine").steps == lesson_named("reward").steps
-    refused = deepbots("new", "other", "--lesson", "--project", tmp_path / "work", code=2)
-    assert "--lesson writes no scenario of its own; leave out --project" in refused.err
+    assert (
+        "--lesson writes no scenario of its own; leave out --project"
+        in deepbots("new", "other", "--lesson", "--project", tmp_path / "work", code=2).err
+    )

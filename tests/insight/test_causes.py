@@ -34,6 +34,7 @@ from deepbots_cli.learning.runs.evaluations import EvaluationResult
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import Decline, RunVerdict
 from deepbots_cli.rollout import Episode
+from tests.commands import Deepbots
 from tests.few import few
 from tests.insight.collapses import CASES as COLLAPSES
 from tests.insight.collapses import has_fallen, named, trained
@@ -908,18 +909,13 @@ def fallen(short: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_every_command_prints_the_same_sentence(
-    fallen: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_command_prints_the_same_sentence(fallen: Path, tmp_path: Path, deepbots: Deepbots) -> None:
     sentence = "the training got worse: the mean return of its evaluations fell from 200 at 36,000 steps to"
-    assert main(["runs", str(fallen.parent)]) == 0
-    assert f"fallen: {sentence}" in capsys.readouterr().err
-    assert main(["runs", str(fallen.parent), "--json"]) == 0
-    (listed,) = json.loads(capsys.readouterr().out)
+    assert f"fallen: {sentence}" in deepbots("runs", fallen.parent).err
+    (listed,) = json.loads(deepbots("runs", fallen.parent, "--json").out)
     assert listed["decline"]["text"].startswith(sentence)
     assert (listed["decline"]["measure"], listed["decline"]["best_steps"]) == ("mean_return", 36_000)
-    assert main(["diagnose", str(fallen), "--only-logs"]) == 0
-    assert sentence[1:] in capsys.readouterr().out
+    assert sentence[1:] in deepbots("diagnose", fallen, "--only-logs").out
     assert main(["eval", str(fallen), "--episodes", "2"]) == 0
     assert main(["report", str(fallen), "-o", str(tmp_path / "page.html")]) == 0
     assert sentence in (tmp_path / "page.html").read_text("utf-8")

@@ -87,12 +87,11 @@ def test_a_script_that_succeeds_where_the_policy_does_not_is_the_teacher(tmp_pat
     assert "script_succeeds" not in causes_of(replace(training, final_episodes=good))
 
 
-def test_a_running_training_is_not_advised_to_resume(carriage, tmp_path, capsys):
+def test_a_running_training_is_not_advised_to_resume(carriage, tmp_path, deepbots):
     run = Path(shutil.copytree(carriage, tmp_path / "run"))
     Run.open(run).update(status="running")
     with run_lock(run):
-        assert main(["diagnose", str(run), "--only-logs"]) == 0
-    text = capsys.readouterr().out
+        text = deepbots("diagnose", run, "--only-logs").out
     assert "it still runs" in text
     assert "deepbots resume" not in text
     rising = returns_of(np.zeros(100), 0, 5)
@@ -100,8 +99,7 @@ def test_a_running_training_is_not_advised_to_resume(carriage, tmp_path, capsys)
     training.run.record = training.run.record.model_copy(update={"total_timesteps": 48_000})
     (statement,) = diagnose(training)
     assert statement.advice == "Let it run: 6,000 of 48,000 steps have been made."
-    assert main(["diagnose", str(run), "--only-logs"]) == 0
-    assert "deepbots resume" in capsys.readouterr().out
+    assert "deepbots resume" in deepbots("diagnose", run, "--only-logs").out
 
 
 def test_a_sensor_that_saw_nothing_is_not_advised_a_smaller_range(tmp_path):
@@ -152,7 +150,7 @@ def test_staying_near_the_success_is_named_where_it_pays_more(tmp_path):
     assert text.endswith("Of 400 episodes of the training, 2 succeeded.")
 
 
-def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys):
+def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, deepbots):
     with pytest.raises(EvaluationError):
         train(
             api.compile(api.load("cartpole", overrides=["fall_angle=0.15 deg"])),
@@ -162,8 +160,7 @@ def test_a_training_that_stops_at_a_reset_has_this_cause_alone(tmp_path, capsys)
     training = read_training(Run.open(tmp_path / "run"))
     run_probes(training)
     assert causes_of(training) == ["ending_at_reset"]
-    assert main(["diagnose", str(tmp_path / "run"), "--episode", "0"]) == 2
-    assert "deepbots diagnose" in capsys.readouterr().err
+    assert "deepbots diagnose" in deepbots("diagnose", tmp_path / "run", "--episode", "0", code=2).err
 
 
 def test_a_training_that_went_on_after_a_lost_episode_did_not_stop_with_an_error(short, tmp_path):
@@ -213,33 +210,28 @@ def test_an_action_without_effect_and_useless_ranges_are_found_in_short_episodes
     ]
 
 
-def test_a_diagnosis_is_printed_with_numbers_and_what_to_try(short, capsys):
-    assert main(["diagnose", str(short)]) == 0
-    text = capsys.readouterr().out
+def test_a_diagnosis_is_printed_with_numbers_and_what_to_try(short, deepbots):
+    text = deepbots("diagnose", short).out
     assert "the most likely first" in text
     assert "Try: " in text
-    assert main(["diagnose", str(short), "--json", "--only-logs"]) == 0
-    (diagnosis,) = json.loads(capsys.readouterr().out)["runs"]
+    (diagnosis,) = json.loads(deepbots("diagnose", short, "--json", "--only-logs").out)["runs"]
     assert diagnosis["causes"]
     assert all(any(sign.isdigit() for sign in cause["text"]) for cause in diagnosis["causes"])
     likelihoods = [cause["evidence"]["likelihood"] for cause in diagnosis["causes"]]
     assert likelihoods == sorted(likelihoods, reverse=True)
 
 
-def test_an_episode_of_a_run_is_explained_with_its_critic(short, capsys):
-    assert main(["diagnose", str(short), "--json", "--episode", "3"]) == 0
-    data = json.loads(capsys.readouterr().out)
+def test_an_episode_of_a_run_is_explained_with_its_critic(short, deepbots):
+    data = json.loads(deepbots("diagnose", short, "--json", "--episode", "3").out)
     assert 0 < data["moment"]["time"] < data["time"]
     assert data["end"]["margin"] > 0
 
 
-def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, capsys):
+def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, deepbots):
     """Also those that stand in another row of its forward passes."""
     run = shutil.copytree(short, tmp_path / "run")
-    assert main(["eval", str(run), "--episodes", "failed"]) == 2
-    assert "keeps no evaluation" in capsys.readouterr().err
-    assert main(["eval", str(run), "--episodes", "10", "--json"]) == 0
-    outcomes = json.loads(capsys.readouterr().out)["outcomes"]
+    assert "keeps no evaluation" in deepbots("eval", run, "--episodes", "failed", code=2).err
+    outcomes = json.loads(deepbots("eval", run, "--episodes", "10", "--json").out)["outcomes"]
     opened = Run.open(run)
     kept = quoted_episodes(opened)
     assert kept.failed(opened.program) == list(range(10))
@@ -252,14 +244,11 @@ def test_episodes_of_an_evaluation_are_repeated_to_the_bit(short, tmp_path, caps
         )
 
 
-def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(tmp_path, capsys):
-    run = train_shuttle(
-        tmp_path, "truncation.max_steps=5", "termination.success={parked: abs(gap) < near and time > 60 s}"
-    )
+def test_failed_episodes_that_a_time_limit_ended_print_no_blank_lines(tmp_path, deepbots):
+    never = "termination.success={parked: abs(gap) < near and time > 60 s}"
+    run = train_shuttle(tmp_path, "truncation.max_steps=5", never)
     assert main(["eval", str(run), "--episodes", "2"]) == 0
-    capsys.readouterr()
-    assert main(["eval", str(run), "--episodes", "failed"]) == 0
-    lines = capsys.readouterr().out.splitlines()
+    lines = deepbots("eval", run, "--episodes", "failed").out.splitlines()
     assert lines[0].startswith("episode 0: 'max_steps' at 0.")
     assert lines[1].strip().startswith("The episode reached 5 of at most 5 (max_steps).")
     assert "'parked' requires" in lines[1]
@@ -298,23 +287,22 @@ def test_the_named_moment_precedes_the_end_of_fifty_failed_episodes(scenario, ti
 
 
 @pytest.mark.slow
-def test_failed_episodes_are_filmed(short, tmp_path, capsys, monkeypatch):
+def test_failed_episodes_are_filmed(short, tmp_path, deepbots, monkeypatch):
     """A film takes 3 s of CPU time."""
     run = shutil.copytree(short, tmp_path / "run")
     monkeypatch.chdir(tmp_path)
     assert main(["eval", str(run), "--episodes", "2"]) == 0
-    capsys.readouterr()
-    assert main(["eval", str(run), "--episodes", "failed", "--json"]) == 0
-    failed = json.loads(capsys.readouterr().out)["failed"]
-    assert main(["render", str(run), "--episodes", "failed", "-o", "failed.mp4", "--json"]) == 0
-    films = json.loads(capsys.readouterr().out)["files"]
+    failed = json.loads(deepbots("eval", run, "--episodes", "failed", "--json").out)["failed"]
+    films = json.loads(deepbots("render", run, "--episodes", "failed", "-o", "failed.mp4", "--json").out)[
+        "files"
+    ]
     assert [each["file"] for each in films] == ["failed-0.mp4", "failed-1.mp4"]
     assert all(each["bytes"] > 1000 for each in films)
     filmed = [(episode["ended_by"], episode["steps"]) for each in films for episode in each["episodes"]]
     assert filmed == [(each["ended_by"], each["steps"]) for each in failed]
 
 
-def test_a_folder_that_cannot_be_diagnosed_is_refused_in_a_sentence(short, tmp_path, capsys):
+def test_a_folder_that_cannot_be_diagnosed_is_refused_in_a_sentence(short, tmp_path, deepbots):
     run = shutil.copytree(short, tmp_path / "run")
     kept = EvaluationResult.of_episodes(
         [Episode(9.0, 60, False, None)],
@@ -338,8 +326,7 @@ def test_a_folder_that_cannot_be_diagnosed_is_refused_in_a_sentence(short, tmp_p
         ([bare, "--episode", "0"], "contains no model", f"deepbots resume '{bare}'"),
         ([tmp_path], "is not a run"),
     ):
-        assert main(["diagnose", *map(str, words)]) == 2
-        error = " ".join(capsys.readouterr().err.split())
+        error = " ".join(deepbots("diagnose", *map(str, words), code=2).err.split())
         assert [message for message in messages if message not in error] == []
 
 
@@ -366,7 +353,7 @@ def test_half_a_line_of_a_log_is_left_out_and_any_other_damage_is_an_error(short
         )
 
 
-def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
+def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, deepbots):
     group = tmp_path / "group"
     for seed in (0, 1):
         shutil.copytree(short, group / f"seed-{seed}")
@@ -376,13 +363,14 @@ def test_a_damaged_seed_of_a_group_hides_no_other_seed(short, tmp_path, capsys):
         "stop_when_solved": False, "keep_checkpoints": 0, "command": [], "started": "",
     }  # fmt: skip
     (group / "group.json").write_text(json.dumps(record))
-    assert main(["diagnose", str(group), "--only-logs"]) == 0
-    output = capsys.readouterr()
+    output = deepbots("diagnose", group, "--only-logs")
     assert "seed-0/run.json is damaged" in output.err
     assert "seed-1: " in output.out
     (group / "seed-1" / "run.json").write_text("{")
-    assert main(["diagnose", str(group), "--only-logs", "--json"]) == 2
-    assert "contains no run that can be diagnosed" in capsys.readouterr().err
+    assert (
+        "contains no run that can be diagnosed"
+        in deepbots("diagnose", group, "--only-logs", "--json", code=2).err
+    )
 
 
 def test_the_page_names_every_cause_and_every_planted_one_is_known():

@@ -179,11 +179,12 @@ def test_the_bundle_describes_its_inputs_its_outputs_and_its_evaluation(bundle):
 
 
 def test_a_folder_for_a_model_hub_has_a_card_the_model_a_video_and_the_bundle(
-    run, tmp_path, monkeypatch, capsys
+    run, tmp_path, monkeypatch, deepbots
 ):
     folder = tmp_path / "hub"
-    assert main(["export", str(run), "--to", "hub", "-o", str(folder)]) == 0
-    assert f"\n  hf upload YOUR_NAME/hub {folder}\n" in capsys.readouterr().err
+    assert (
+        f"\n  hf upload YOUR_NAME/hub {folder}\n" in deepbots("export", run, "--to", "hub", "-o", folder).err
+    )
     _, metadata, card = (folder / "README.md").read_text(encoding="utf-8").split("---\n", 2)
     known = yaml.safe_load(metadata)
     assert known["library_name"] == "stable-baselines3"
@@ -220,29 +221,24 @@ def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):
             assert np.shape(names["commands"]["cart.wheels"]) == (4,)
 
 
-def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, capsys):
-    assert main(["export", "--check", "cartpole", str(bundle)]) == 0
-    assert "fits cartpole" in capsys.readouterr().out
-    assert main(["export", "--check", "cartpole", str(bundle), "--set", "observation.x=-1 .. 1 m"]) == 1
-    output = capsys.readouterr().out
+def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, deepbots):
+    assert "fits cartpole" in deepbots("export", "--check", "cartpole", bundle).out
+    output = deepbots("export", "--check", "cartpole", bundle, "--set", "observation.x=-1 .. 1 m", code=1).out
     assert "observation.x: bundle -0.4 .. 0.4 m, scenario -1 .. 1 m" in output
     assert "cart.pole_angle" not in output
-    assert main(["export", "--check", "cartpole", str(bundle), "--agent", "one"]) == 2
-    assert "leave out --agent" in capsys.readouterr().err
-    assert main(["export", "--check", "cartpole", str(bundle), "--set", "world.timestep=16ms"]) == 0
-    output = capsys.readouterr().err
+    assert (
+        "leave out --agent" in deepbots("export", "--check", "cartpole", bundle, "--agent", "one", code=2).err
+    )
+    output = deepbots("export", "--check", "cartpole", bundle, "--set", "world.timestep=16ms").err
     assert "0.032 s" in output
     command = shlex.split(output.strip().rpartition("deepbots ")[2])  # its robot file is in the bundle
-    assert main(command) == 1
-    assert "world.timestep" in capsys.readouterr().out
+    assert "world.timestep" in deepbots(*command, code=1).out
     assert (
-        main(["export", "--check", str(bundle / "scenario.yaml"), str(bundle), "--set", "train.gamma=0.9"])
-        == 0
+        deepbots("export", "--check", bundle / "scenario.yaml", bundle, "--set", "train.gamma=0.9").err == ""
     )
-    assert capsys.readouterr().err == ""
 
 
-def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, capsys):
+def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, deepbots):
     (tmp_path / "file").write_text("")
     (tmp_path / "group.json").write_text("{}")
     replaced = "is not empty; choose another folder, or replace files of the same name with --force"
@@ -252,8 +248,7 @@ def test_nothing_is_overwritten_and_a_group_is_refused(bundle, run, tmp_path, ca
         (tmp_path, tmp_path / "new", [], ""),
         (run, tmp_path / "new", ["--to", "isaac-lab"], "choices, goals, images, copies"),
     ):
-        assert main(["export", str(source), "-o", str(target), *options]) == 2
-        assert message in capsys.readouterr().err
+        assert message in deepbots("export", source, "-o", target, *options, code=2).err
     assert not (tmp_path / "new").exists()
 
 

@@ -244,7 +244,7 @@ def test_the_interval_of_a_group_is_over_its_seeds_and_within_the_possible_retur
     )
 
 
-def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path, capsys, group):
+def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path, deepbots, group):
     copy = Path(shutil.copytree(run, tmp_path / "copy"))
     shutil.rmtree(copy / "evaluations")
     (tmp_path / "empty").mkdir()
@@ -258,8 +258,7 @@ def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path
         (tmp_path / "empty", "is not a run"),
         (group, "contains no run that can be reported; seed 0 is left out"),
     ):
-        assert main(["report", str(folder), "-o", str(tmp_path / "x.html")]) == 2
-        err = capsys.readouterr().err
+        err = deepbots("report", folder, "-o", tmp_path / "x.html", code=2).err
         assert message in err
         assert err.count("\n") == 1
     assert not (tmp_path / "x.html").exists()
@@ -278,7 +277,9 @@ def test_a_folder_that_cannot_be_reported_is_refused_in_a_sentence(run, tmp_path
         ),
     ],
 )
-def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(run, tmp_path, capsys, change, message):
+def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(
+    run, tmp_path, deepbots, change, message
+):
     copy = Path(shutil.copytree(run, tmp_path / "copy"))
     path = copy / "evaluations" / "0001.json"
     evaluation = json.loads(path.read_text())
@@ -286,8 +287,7 @@ def test_an_evaluation_that_cannot_be_drawn_is_refused_in_a_sentence(run, tmp_pa
         episode["drawn"]["mass"] = 1.0
     evaluation["outcomes"][3] |= change
     path.write_text(json.dumps(evaluation | {key: change[key] for key in change if key in evaluation}))
-    assert main(["report", str(copy), "-o", str(tmp_path / "x.html")]) == 2
-    assert message in capsys.readouterr().err
+    assert message in deepbots("report", copy, "-o", tmp_path / "x.html", code=2).err
 
 
 def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_path):
@@ -312,7 +312,7 @@ def test_a_quick_evaluation_does_not_replace_the_result_of_a_report(run, tmp_pat
 
 
 def test_a_place_that_cannot_be_written_to_is_refused_before_anything_runs(
-    run, tmp_path, monkeypatch, capsys
+    run, tmp_path, monkeypatch, deepbots
 ):
     monkeypatch.chdir(tmp_path)
     Path("cartpole.html").write_text("mine")
@@ -324,8 +324,7 @@ def test_a_place_that_cannot_be_written_to_is_refused_before_anything_runs(
         (["-o", "x.html"], "it is a directory"),
         (["-o", "y.html", "--figures", "figures"], "is not a directory"),
     ):
-        assert main(["report", str(run), *options]) == 2
-        assert message in capsys.readouterr().err
+        assert message in deepbots("report", run, *options, code=2).err
     assert Path("cartpole.html").read_text() == "mine"
 
 
@@ -451,9 +450,8 @@ def test_an_argument_that_is_not_an_episode_is_refused_in_a_sentence(recording, 
         assert message in capsys.readouterr().err
 
 
-def test_json_has_the_same_statements(recording, capsys):
-    assert main(["diagnose", str(recording), "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+def test_json_has_the_same_statements(recording, deepbots):
+    data = json.loads(deepbots("diagnose", recording, "--json").out)
     assert [each["text"] for each in data["statements"]] == [
         each.text for each in explain(_traced(recording))
     ]

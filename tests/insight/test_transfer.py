@@ -46,7 +46,9 @@ from deepbots_cli.insight.transfer import (
 from deepbots_cli.learning.robustness import base_document, changed_scenario
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
+from tests.commands import Deepbots
 from tests.few import few
+from tests.files import written
 from tests.insight.logs import train_shuttle
 
 BRIEF = (
@@ -351,10 +353,9 @@ def test_the_same_world_differs_in_nothing_nor_does_one_with_another_reward(
 
 
 @pytest.mark.slow
-def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_compares_engines_and_is_a_gate(run_of: Any, deepbots: Deepbots) -> None:
     path = str(run_of("cartpole").path)
-    assert main(["transfer", path, "--quick", "--episodes", "2", "--min-return", "200"]) == 1
-    output = capsys.readouterr().out
+    output = deepbots("transfer", path, "--quick", "--episodes", "2", "--min-return", "200", code=1).out
     score = r"\S+ \(95 %: \S+ \.\. \S+\)"
     assert re.match(
         rf"works neither in mujoco nor in pybullet: mean return {score} and {score}, judged by 2 episodes\n",
@@ -363,13 +364,15 @@ def test_the_command_compares_engines_and_is_a_gate(run_of: Any, capsys: pytest.
     assert "CartPole in mujoco and in pybullet, 2 held-out starts" in output
     assert "failed: mujoco: mean return" in output
     assert "the changes are alternatives" in output
-    assert main(["transfer", path, "--quick", "--engine", "mujoco"]) == 2
-    assert "was trained in mujoco; name the other engine" in capsys.readouterr().err
+    assert (
+        "was trained in mujoco; name the other engine"
+        in deepbots("transfer", path, "--quick", "--engine", "mujoco", code=2).err
+    )
 
 
 @pytest.mark.slow
 def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progress(
-    run_of: Any, capsys: pytest.CaptureFixture[str]
+    run_of: Any, deepbots: Deepbots
 ) -> None:
     path = str(run_of("cartpole").path)
     words = [
@@ -382,8 +385,7 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
         "1",
         "--json",
     ]
-    assert main(["transfer", path, *words]) == 0
-    output = capsys.readouterr()
+    output = deepbots("transfer", path, *words)
     (report,) = json.loads(output.out)
     assert [world["name"] for world in report["worlds"]] == ["training", "other"]
     (only,) = report["differences"]
@@ -411,12 +413,11 @@ def patient(folder: Path) -> list[str]:
 
 @pytest.mark.slow
 def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect_on_success(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, deepbots: Deepbots
 ) -> None:
     """`x 8` makes it leave too early."""
     words = patient(tmp_path)
-    assert main([*words, "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}"]) == 0
-    output = capsys.readouterr().out
+    output = deepbots(*words, "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}").out
     assert "4 of 4 episodes end in another way in other; before this, in steps 72 to 121" in output
     assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.76", output)
     assert "training with command of shuttle.motor x 8: 0.0%, 100.0% of the difference" in output
@@ -424,20 +425,20 @@ def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect
 
 @pytest.mark.slow
 def test_a_change_that_is_not_tried_explains_no_difference_in_success(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, deepbots: Deepbots
 ) -> None:
     """An own speed from step 116 is such a change."""
     words = patient(tmp_path)
     late = "robots.shuttle.receive={go: (0.05 m/s if time > 5.2 s else 0 m/s) if time < 5.8 s else 5 m/s}"
-    assert main([*words, late]) == 0
     assert (
-        "success: training 100.0%, other 0.0%; no change explains this difference" in capsys.readouterr().out
+        "success: training 100.0%, other 0.0%; no change explains this difference"
+        in deepbots(*words, late).out
     )
 
 
 @pytest.mark.slow
 def test_a_cause_in_measured_numbers_is_not_followed_by_the_sentence_that_no_change_explains_the_difference(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, deepbots: Deepbots
 ) -> None:
     run = train_shuttle(
         tmp_path,
@@ -446,8 +447,7 @@ def test_a_cause_in_measured_numbers_is_not_followed_by_the_sentence_that_no_cha
         "reward.parked=1 when stays",
     )
     words = ["transfer", str(run), "--quick", "--episodes", "4", "--set"]
-    assert main([*words, "robots.shuttle.emit={place: 2 * place + 1 m}"]) == 0
-    output = capsys.readouterr().out
+    output = deepbots(*words, "robots.shuttle.emit={place: 2 * place + 1 m}").out
     assert "gap is larger by -1.0" in output
     assert "success: training 100.0%, other 0.0%; the success under these changes is unknown" in output
 
@@ -576,16 +576,15 @@ def test_a_robot_that_moves_as_the_simulation_differs_in_nothing(run: Run, tmp_p
 
 
 def test_a_bias_is_named_first_with_its_time_and_a_line_for_the_scenario(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    run: Run, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     log = logged(run, tmp_path / "log.mcap", lambda time, angle: angle + (0.5 if time > 3.2 else 0.0))
     first = compare_log(run, log)[0]
     assert (first.name, first.since) == ("cart.pole_angle", pytest.approx(3.2, abs=2 * PERIOD))
     assert first.robot[0] - first.simulated[0] == pytest.approx(0.5 * 199 / 300, abs=0.02)
-    assert main(["transfer", str(run.path), "--log", str(log)]) == 0
     assert re.search(
         r"robots\.cart\.sensors\.pole_angle: \{bias: uniform\(0 \.\. 0\.3[1-5] rad\)\}",
-        capsys.readouterr().out,
+        deepbots("transfer", run.path, "--log", log).out,
     )
 
 
@@ -606,8 +605,7 @@ def test_the_distance_is_that_of_the_distribution_functions() -> None:
 
 
 def test_a_log_of_another_policy_is_refused(run: Run, tmp_path: Path) -> None:
-    damaged = tmp_path / "other.mcap"
-    damaged.write_bytes(b"no log")
+    damaged = written(tmp_path / "other.mcap", b"no log")
     with pytest.raises(UsageError, match="cannot be read as a log"):
         compare_log(run, damaged)
     with pytest.raises(UsageError, match="has 3 steps of a policy; a comparison needs at least 50"):
@@ -616,9 +614,7 @@ def test_a_log_of_another_policy_is_refused(run: Run, tmp_path: Path) -> None:
         compare_log(run, tmp_path / "missing.mcap")
 
 
-def test_the_episodes_of_a_log_are_listed_and_explained(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_episodes_of_a_log_are_listed_and_explained(tmp_path: Path, deepbots: Deepbots) -> None:
     from deepbots_robot.log import LogWriter
 
     path = tmp_path / "log.mcap"
@@ -631,8 +627,7 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
     writer.event(20.6, "safe", "no new value of cart.pole_angle")
     writer.step(20.6, {}, commands, 0.0, "safe")
     writer.close()
-    assert main(["replay", str(path), "--json"]) == 0
-    episodes = json.loads(capsys.readouterr().out)["episodes"]
+    episodes = json.loads(deepbots("replay", path, "--json").out)["episodes"]
     assert [
         (episode["number"], episode["begun"], episode["steps"], episode["safe_steps"]) for episode in episodes
     ] == [
@@ -643,8 +638,7 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
         0.5,
         0.5,
     ]  # without the time in which no policy acted
-    assert main(["diagnose", str(path), "--episode", "1"]) == 0
-    output = capsys.readouterr().out
+    output = deepbots("diagnose", path, "--episode", "1").out
     assert "episode 1: 2 steps of the policy in 0.5 s; median answer 2.00 ms, longest 2.00 ms" in output
     assert "0.60 s  safe posture: no new value of cart.pole_angle" in output
     for command, option, text in (
@@ -653,20 +647,16 @@ def test_the_episodes_of_a_log_are_listed_and_explained(
         ("diagnose", ["--episode", "7"], "has no episode 7; list them with: deepbots replay"),
         ("view", [], "is the log of a robot without the scenario"),
     ):
-        assert main([command, str(path), *option]) == 2
-        assert text in capsys.readouterr().err
+        assert text in deepbots(command, path, *option, code=2).err
 
 
-def test_a_log_of_a_robot_that_sent_nothing_says_so(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_of_a_robot_that_sent_nothing_says_so(tmp_path: Path, deepbots: Deepbots) -> None:
     from deepbots_robot.log import LogWriter
 
     path = tmp_path / "log.mcap"
     LogWriter(path, {}).close()
     for words in (["diagnose", str(path)], ["replay", str(path)], ["diagnose", str(path), "--episode", "0"]):
-        assert main(words) == 2
-        output = capsys.readouterr()
+        output = deepbots(*words, code=2)
         assert "contains no step: the robot sent no complete set of values" in output.err
         assert output.out == ""
 
@@ -690,9 +680,7 @@ def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: P
 
 
 @pytest.mark.slow
-def test_a_log_that_a_kill_cut_is_used_with_a_note(
-    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, deepbots: Deepbots) -> None:
     whole = logged(run, tmp_path / "whole.mcap", lambda time, angle: angle)
     cut = tmp_path / "cut.mcap"
     content = whole.read_bytes()
@@ -702,16 +690,13 @@ def test_a_log_that_a_kill_cut_is_used_with_a_note(
         ["diagnose", str(cut)],
         ["transfer", str(run.path), "--log", str(cut)],
     ):
-        assert main(command) == 0
-        output = capsys.readouterr()
         counts = re.findall(
             r"cut.mcap has no end: its process was killed, or it is damaged; its first (\d+) messages are"
             r" used",
-            output.err,
+            deepbots(*command).err,
         )
         assert [100 < int(number) < 300 for number in counts] == [True]
-        assert main([*command[:-1], str(whole)]) == 0
-        assert "has no end" not in capsys.readouterr().err
+        assert "has no end" not in deepbots(*command[:-1], whole).err
 
 
 # In the page
@@ -744,8 +729,7 @@ def cut_log(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for stamp in (20.2, 20.3):
         writer.step(stamp, {}, {"cart.wheels": np.zeros(4)}, 0.0, "safe", {"cart.pole_angle": 0.15})
     writer._file.flush()
-    killed = path.with_name("cut.mcap")
-    killed.write_bytes(path.read_bytes()[:-3])
+    killed = written(path.with_name("cut.mcap"), path.read_bytes()[:-3])
     writer.close()
     return killed
 

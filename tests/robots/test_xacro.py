@@ -569,8 +569,7 @@ def test_new_writes_the_arguments_and_a_scenario_without_findings(tmp_path, deep
 @pytest.mark.parametrize("command", [["new", "first", "--urdf"], ["inspect"], ["lint"]])
 def test_a_wrong_argument_of_a_command_is_named(tmp_path, deepbots, command, words, message):
     write_robot(tmp_path)
-    ran = deepbots(*command, "arm.urdf.xacro", "--xacro-arg", "side:=a", *words, code=2)
-    assert message in ran.err
+    assert message in deepbots(*command, "arm.urdf.xacro", "--xacro-arg", "side:=a", *words, code=2).err
 
 
 def test_each_command_that_reads_a_robot_file_takes_the_argument_that_the_file_needs(tmp_path, deepbots):
@@ -578,8 +577,10 @@ def test_each_command_that_reads_a_robot_file_takes_the_argument_that_the_file_n
     deepbots("lint", "arm.urdf.xacro", code=1)
     for command in ("inspect", "lint", "render"):
         deepbots(command, "arm.urdf.xacro", "--xacro-arg", "side:=left")
-        ran = deepbots(command, "cartpole", "--xacro-arg", "side:=left", code=2)
-        assert "--xacro-arg goes with a robot file" in ran.err
+        assert (
+            "--xacro-arg goes with a robot file"
+            in deepbots(command, "cartpole", "--xacro-arg", "side:=left", code=2).err
+        )
 
 
 def test_a_color_that_remains_in_an_expanded_file_is_a_warning():

@@ -31,13 +31,13 @@ from deepbots_cli.errors import DeepbotsError, EngineError, EvaluationError, Mes
 from deepbots_cli.rollout.source import Source
 from deepbots_cli.runtime import Supervisor
 from deepbots_cli.runtime.streams import Streams, derive_seed
-from tests.worlds import RAIL, Make
+from tests.files import written
+from tests.worlds import RAIL, Make, begun
 
 
 # Endings and limits
 def test_time_limits_count_whole_steps(small: Make) -> None:
-    environment = small("reward: {a: 1}", "truncation={max_time: 0.3 s}")
-    environment.reset(seed=0)
+    environment = begun(small("reward: {a: 1}", "truncation={max_time: 0.3 s}"))
     steps = 1
     while not environment.step(np.zeros(1))[3]:
         steps += 1
@@ -45,11 +45,12 @@ def test_time_limits_count_whole_steps(small: Make) -> None:
 
 
 def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
-    environment = small(
-        "reward: {a: 1}\ntermination: {success: {far: drive > 0.5}, failure: {fast: drive > 0.4, slow: drive"
-        " < 0}}"
+    environment = begun(
+        small(
+            "reward: {a: 1}\ntermination: {success: {far: drive > 0.5}, failure: {fast: drive > 0.4, slow: drive"
+            " < 0}}"
+        )
     )
-    environment.reset(seed=0)
     _, _, terminated, truncated, info = environment.step(np.array([0.75]))
     assert terminated is True
     assert truncated is False
@@ -58,10 +59,9 @@ def test_failure_beats_success_and_all_endings_are_listed(small: Make) -> None:
 
 
 def test_termination_beats_a_limit_in_the_same_step(small: Make) -> None:
-    environment = small(
-        "reward: {a: 1}\ntermination: {success: {far: drive > 0.5}}", "truncation.max_steps=1"
+    environment = begun(
+        small("reward: {a: 1}\ntermination: {success: {far: drive > 0.5}}", "truncation.max_steps=1")
     )
-    environment.reset(seed=0)
     assert environment.step(np.array([1.0]))[2:4] == (True, False)
     environment.reset(seed=0)
     assert environment.step(np.array([0.0]))[2:4] == (False, True)
@@ -86,8 +86,7 @@ def test_an_ending_that_is_true_at_the_start_is_an_error_and_leaves_nothing_to_s
     ],
 )
 def test_an_expression_without_a_value_names_its_line_and_the_step(small: Make, term: str, line: str) -> None:
-    environment = small(f'reward: {{bad: "{term}"}}')
-    environment.reset(seed=0)
+    environment = begun(small(f'reward: {{bad: "{term}"}}'))
     for _ in range(2):
         environment.step(np.zeros(1))
     with pytest.raises(EvaluationError) as caught:
@@ -100,15 +99,13 @@ def test_an_expression_without_a_value_names_its_line_and_the_step(small: Make, 
 
 
 def test_a_reward_that_overflows_names_its_term(small: Make) -> None:
-    environment = small('reward: {fine: 1, large: "1e200 * (step * 1e150)"}')
-    environment.reset(seed=0)
+    environment = begun(small('reward: {fine: 1, large: "1e200 * (step * 1e150)"}'))
     with pytest.raises(EvaluationError, match="'large' is not finite"):
         environment.step(np.zeros(1))
 
 
 def test_the_traceback_of_such_an_error_shows_generated_lines(small: Make) -> None:
-    environment = small('reward: {bad: "1 / (step - 1)"}')
-    environment.reset(seed=0)
+    environment = begun(small('reward: {bad: "1 / (step - 1)"}'))
     with pytest.raises(EvaluationError) as caught:
         environment.step(np.zeros(1))
     text = "".join(traceback.format_exception(caught.value))
@@ -119,8 +116,7 @@ def test_the_traceback_of_such_an_error_shows_generated_lines(small: Make) -> No
 @pytest.mark.parametrize("format", ["struct", "json", "csv", "msgpack", "none"])
 @pytest.mark.parametrize("engine", ["exact", "pybullet"])
 def test_a_world_that_blew_up_is_the_engines_failure(make: Make, format: str, engine: str) -> None:
-    environment = make(RAIL, f"messages.format={format}", engine=engine)
-    environment.reset(seed=0)
+    environment = begun(make(RAIL, f"messages.format={format}", engine=engine))
     environment.step(0)
     environment.engine.set_joint("cart", "hinge", math.nan, 0.0)
     with pytest.raises(EngineError, match="cart"):
@@ -130,8 +126,7 @@ def test_a_world_that_blew_up_is_the_engines_failure(make: Make, format: str, en
 # Messages that do not fit
 @pytest.mark.parametrize("message", [b"", b"garbage", "text", None, b"\0" * 12, b"\0" * 500])
 def test_a_foreign_message_on_the_way_is_refused_by_the_robot(make: Make, message: Any) -> None:
-    environment = make(RAIL, engine="exact")
-    environment.reset(seed=0)
+    environment = begun(make(RAIL, engine="exact"))
     environment.step(0)
     environment.to_cart.transmit(message)
     with pytest.raises(MessageError, match=r"robot 'cart', to the robot, step 2"):
@@ -139,8 +134,7 @@ def test_a_foreign_message_on_the_way_is_refused_by_the_robot(make: Make, messag
 
 
 def test_a_foreign_message_from_a_robot_is_refused_by_the_supervisor(make: Make) -> None:
-    environment = make(RAIL, engine="exact")
-    environment.reset(seed=0)
+    environment = begun(make(RAIL, engine="exact"))
     environment.from_cart.transmit(environment.to_cart.wire.encode((1.0,)))
     with pytest.raises(
         MessageError, match=r"robot 'cart', from the robot, step 1: the message has another layout"
@@ -190,8 +184,7 @@ def test_the_printed_module_has_the_papers_classes_and_imports_nothing_odd() -> 
 
 @pytest.mark.parametrize("action", [["0.5"], [True], [b"0.5"]])
 def test_an_action_of_text_or_truth_values_fits_no_interval(small: Make, action: list[object]) -> None:
-    environment = small("reward: {pay: drive}")
-    environment.reset(seed=0)
+    environment = begun(small("reward: {pay: drive}"))
     with pytest.raises(UsageError, match="does not fit"):
         environment.step(action)
 
@@ -439,9 +432,7 @@ def mine(tmp_path: Path) -> Path:
         .path.read_text(encoding="utf-8")
         .replace("../robots/urdf/cartpole.urdf", "cartpole")
     )
-    path = tmp_path / "mine.yaml"
-    path.write_text(text.replace("name: CartPole", "name: Mine"))
-    return path
+    return written(tmp_path / "mine.yaml", text.replace("name: CartPole", "name: Mine"))
 
 
 @pytest.fixture
@@ -459,8 +450,7 @@ def first(env: Any) -> list[float]:
 
 
 def test_a_scenario_of_ones_own_is_made_by_its_path(mine: Path, strict: None) -> None:
-    env = gymnasium.make(ANY, scenario=str(mine), overrides=["track=0.2m"], render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun(gymnasium.make(ANY, scenario=str(mine), overrides=["track=0.2m"], render_mode="rgb_array"))
     assert (env.render().shape[2], env.unwrapped.scenario.name) == (3, "Mine")
     env.close()
 
@@ -597,8 +587,7 @@ STIFF = 1_000_000
 def steps(folder: Path, engine: str, stiffness: float = STIFF) -> None:
     """Run an episode with a spring of this stiffness (N m/rad) on 1 g."""
     (folder / "arm.urdf").write_text(ROBOT)
-    file = folder / "gram.yaml"
-    file.write_text(SCENARIO.replace("1_000_000", str(stiffness)))
+    file = written(folder / "gram.yaml", SCENARIO.replace("1_000_000", str(stiffness)))
     environment = api.make(str(file), engine=engine)
     try:
         environment.reset(seed=0)
@@ -620,8 +609,7 @@ def test_a_spring_that_is_too_strong_ends_the_episode_with_the_name_of_its_joint
 def test_the_stiffness_that_the_finding_names_is_stable(tmp_path, engine):
     pytest.importorskip(engine)
     (tmp_path / "arm.urdf").write_text(ROBOT)
-    file = tmp_path / "gram.yaml"
-    file.write_text(SCENARIO)
+    file = written(tmp_path / "gram.yaml", SCENARIO)
     (finding,) = [finding for finding in api.lint(file) if finding.code == "DB325"]
     stable = float(finding.help.partition("below ")[2].partition(" ")[0])
     steps(tmp_path, engine, stable)
@@ -632,8 +620,7 @@ def test_the_stiffness_that_the_finding_names_is_stable(tmp_path, engine):
 def test_a_world_of_a_batch_whose_joint_is_too_fast_is_lost(tmp_path):
     pytest.importorskip("mujoco")
     (tmp_path / "arm.urdf").write_text(ROBOT)
-    file = tmp_path / "gram.yaml"
-    file.write_text(SCENARIO.replace("substeps: 5", "substeps: 5, engine: mujoco"))
+    file = written(tmp_path / "gram.yaml", SCENARIO.replace("substeps: 5", "substeps: 5, engine: mujoco"))
     environment = api.make_vec(str(file), num_envs=2)
     try:
         environment.reset(seed=0)

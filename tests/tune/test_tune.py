@@ -37,6 +37,8 @@ from deepbots_cli.learning.runs.directories import run_lock
 from deepbots_cli.learning.runs.run import RunRecord
 from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout.source import Source
+from tests.commands import Deepbots
+from tests.files import written
 
 SCENARIO = """\
 deepbots: 1
@@ -70,9 +72,7 @@ trials.run_study(study.Study.open(sys.argv[1]), reporter=Killed())
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("scenario") / "short.yaml"
-    path.write_text(SCENARIO)
-    return path
+    return written(tmp_path_factory.mktemp("scenario") / "short.yaml", SCENARIO)
 
 
 def new_study(file: Path, folder: Path, *overrides: str, **settings: object) -> Study:
@@ -178,25 +178,21 @@ def test_a_study_that_could_not_be_opened_is_refused_before_anything_is_written(
 
 
 def test_a_study_of_an_older_format_is_refused_with_the_version_that_reads_it(
-    whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    whole: Study, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     study = Path(shutil.copytree(whole.path, tmp_path / "study"))
     for record in (study / "study.json", study / "trial-0" / "group.json"):
         written = json.loads(record.read_text()) | {"format": 1, "deepbots": "0.0.9"}
         record.write_text(json.dumps(written))
     for command, folder in (("resume", study), ("apply", study), ("eval", study / "trial-0")):
-        assert main([command, str(folder)]) == 2
-        message = capsys.readouterr().err
+        message = deepbots(command, folder, code=2).err
         assert "of format 1, but this version of deepbots reads format 2; use deepbots 0.0.9" in message
     assert read_listed(study).state == "unreadable"
     assert read_listed(study / "trial-0" / "seed-0").state == "finished"
 
 
-def test_the_report_of_a_study_names_optuna_dashboard(
-    whole: Study, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["report", str(whole.path)]) == 2
-    assert f"`optuna-dashboard {whole.path / 'journal.log'}`" in capsys.readouterr().err
+def test_the_report_of_a_study_names_optuna_dashboard(whole: Study, deepbots: Deepbots) -> None:
+    assert f"`optuna-dashboard {whole.path / 'journal.log'}`" in deepbots("report", whole.path, code=2).err
 
 
 @pytest.mark.slow
@@ -360,26 +356,23 @@ def test_a_wrong_search_is_refused_in_one_sentence_before_anything_starts(
     file: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    deepbots: Deepbots,
     options: list[str],
     message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert main(["tune", str(file), *options]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = deepbots("tune", file, *options, code=2).err.splitlines()
     assert message in line
     assert list(tmp_path.iterdir()) == []
 
 
 def test_apply_writes_the_best_values_with_a_comment_and_changes_nothing_else(
-    whole: Study, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    whole: Study, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     best = whole.ranked(whole.trials())[0]
-    target = tmp_path / "mine.yaml"
-    target.write_text(SCENARIO)
+    target = written(tmp_path / "mine.yaml", SCENARIO)
     for _ in range(2):  # a second time replaces the comment
-        assert main(["apply", str(whole.path), str(target), "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["values"] == best.values
+        assert json.loads(deepbots("apply", whole.path, target, "--json").out)["values"] == best.values
     changed = dict(enumerate(target.read_text().splitlines()))
     old = SCENARIO.splitlines()
     assert {number for number, line in changed.items() if line != old[number]} == {3, 4}
@@ -389,8 +382,7 @@ def test_apply_writes_the_best_values_with_a_comment_and_changes_nothing_else(
 
 
 def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> None:
-    target = tmp_path / "mine.yaml"
-    target.write_text("deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {}")
+    target = written(tmp_path / "mine.yaml", "deepbots: 1\nextends: cartpole\nname: Mine\nparameters: {}")
     assert main(["apply", str(whole.path), str(target)]) == 0
     best = whole.ranked(whole.trials())[0].values
     document = Source.open(target, Permissions()).document()
@@ -402,9 +394,11 @@ def test_apply_adds_keys_that_a_file_inherits(whole: Study, tmp_path: Path) -> N
     assert document.findings.errors == []
 
 
-def test_a_shipped_scenario_is_not_changed(whole: Study, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["apply", str(whole.path), "cartpole"]) == 2
-    assert "comes with deepbots; copy it with `deepbots new mine --from cartpole`" in capsys.readouterr().err
+def test_a_shipped_scenario_is_not_changed(whole: Study, deepbots: Deepbots) -> None:
+    assert (
+        "comes with deepbots; copy it with `deepbots new mine --from cartpole`"
+        in deepbots("apply", whole.path, "cartpole", code=2).err
+    )
 
 
 FORGED = (
@@ -445,7 +439,7 @@ NUMBERS = (
 
 @pytest.mark.parametrize("forged", NUMBERS, ids=lambda text: text[:25])
 def test_a_score_that_no_training_has_is_refused_in_one_sentence(
-    file: Path, tmp_path: Path, forged: str, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, forged: str, deepbots: Deepbots
 ) -> None:
     study = _study_with_scores(file, tmp_path / "study", [SeedScore(0, 0.5, 100, 5.0, 0.5)])
     journal = study.path / "journal.log"
@@ -454,8 +448,10 @@ def test_a_score_that_no_training_has_is_refused_in_one_sentence(
     changed = re.sub(f"{name}:[^,}}]+", forged.replace(": ", ":"), text, count=1)
     assert changed != text
     journal.write_text(changed)
-    assert main(["resume", str(study.path), "-q"]) == 2
-    assert "journal.log is damaged: trial 0 does not fit the study" in capsys.readouterr().err
+    assert (
+        "journal.log is damaged: trial 0 does not fit the study"
+        in deepbots("resume", study.path, "-q", code=2).err
+    )
 
 
 @pytest.mark.parametrize("rest", [-1, -40, 0.5, "\0\0\0\0"])
@@ -499,13 +495,12 @@ def _seeds(scores: Sequence[float], mean_return: float = 0.0, success_rate: floa
 
 
 def test_where_no_trial_has_a_success_the_higher_return_is_the_best_and_apply_is_not_advised(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     trials = [_seeds([1.5] * 3, mean_return=value) for value in (10.0, 30.0, 20.0)]
     study = _study_with_scores(file, tmp_path / "study", *trials)
     assert [trial.number for trial in study.ranked(study.trials())] == [1, 2, 0]
-    assert main(["resume", str(study.path), "-q"]) == 0
-    text = "".join(capsys.readouterr())
+    text = (ran := deepbots("resume", study.path, "-q")).out + ran.err
     assert (
         "best: trial 1, score 1.5; 2 other trials have this score, and the success rate, then the return"
         " chose the best one" in text
@@ -531,40 +526,37 @@ def test_unsolved_seeds_score_by_their_mean_success_rate() -> None:
 
 
 def test_apply_is_advised_where_the_best_trial_is_clearly_better_than_the_values_of_the_scenario(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     study = _study_with_scores(file, tmp_path / "study", _seeds([0.9, 0.92, 0.88]), _seeds([0.3, 0.32, 0.28]))
-    assert main(["resume", str(study.path), "-q"]) == 0
-    text = "".join(capsys.readouterr())
+    text = (ran := deepbots("resume", study.path, "-q")).out + ran.err
     assert "it is clearly better than the values of the scenario itself (trial 0, score 0.9)" in text
     assert f"deepbots apply {study.path}" in text
 
 
 def test_the_luckiest_of_many_trials_is_not_clearly_better(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     scores = [[0.8, 0.9, 0.7], *([0.6, 0.95, 0.8] for _ in range(18)), [0.7, 0.6, 0.5]]
     study = _study_with_scores(file, tmp_path / "study", *map(_seeds, scores))
-    assert main(["resume", str(study.path), "-q", "--json"]) == 0
-    over_first = json.loads(capsys.readouterr().out)["over_first"]
+    over_first = json.loads(deepbots("resume", study.path, "-q", "--json").out)["over_first"]
     assert over_first["is_clear"] is False
     assert over_first["difference"]["mean"] == pytest.approx(-0.2)
 
 
 def test_a_trial_with_one_seed_is_never_clearly_better(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    file: Path, tmp_path: Path, deepbots: Deepbots
 ) -> None:
     study = _study_with_scores(file, tmp_path / "study", _seeds([0.9]), _seeds([0.1]))
-    assert main(["resume", str(study.path), "-q"]) == 0
-    text = "".join(capsys.readouterr())
+    text = (ran := deepbots("resume", study.path, "-q")).out + ran.err
     assert "one seed does not show it" in text
     assert "deepbots apply" not in text
 
 
 @pytest.mark.parametrize("sizes", ["16 .. 1024", "64 .. 16384"])
 def test_a_key_of_whole_numbers_is_searched_in_whole_numbers(tmp_path: Path, sizes: str) -> None:
-    file = tmp_path / "a.yaml"
-    file.write_text(
-        f"deepbots: 1\nextends: cartpole\nname: A\ntune: {{search: {{train.batch_size: {sizes} :log}}}}\n"
+    file = written(
+        tmp_path / "a.yaml",
+        f"deepbots: 1\nextends: cartpole\nname: A\ntune: {{search: {{train.batch_size: {sizes} :log}}}}\n",
     )
     assert api.load(file).search["train.batch_size"].whole
