@@ -1,4 +1,4 @@
-"""Whatever becomes of a file: findings, in time. A short share of `make fuzz`.
+"""Whatever becomes of a file: findings, in time, the same every time. A short share of `make fuzz`.
 
 Damaged worlds of Webots end in findings; `make fuzz` tries more.
 """
@@ -16,7 +16,7 @@ from deepbots_cli.lint import all_findings
 from deepbots_cli.lint.fixes import Fixer
 from tests.fuzz.beside import check, session
 from tests.fuzz.mutations import SEEDS, case
-from tests.fuzz.workbench import Workbench
+from tests.fuzz.workbench import Workbench, digest, digests_elsewhere
 from tests.fuzz.worlds import check as check_world
 from tests.lsp.client import Client
 
@@ -32,6 +32,12 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workbench]:
 def test_a_damaged_file_gives_findings_at_its_places_in_time(bench: Workbench) -> None:
     for number in range(COUNT):
         bench.examine(number)
+
+
+@pytest.mark.slow
+def test_findings_are_the_same_under_another_hash_seed(bench: Workbench) -> None:
+    numbers = range(COUNT, COUNT + 30)
+    assert digests_elsewhere(numbers, 7) == [digest(bench.examine(number)) for number in numbers]
 
 
 def test_fixing_a_damaged_file_does_no_harm_and_leaves_nothing_to_do(bench: Workbench) -> None:
