@@ -50,6 +50,7 @@ from deepbots_cli.document.layout import (
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
+from tests.files import written
 from tests.golden.cases import documents, mistakes
 
 
@@ -357,8 +358,7 @@ def test_a_missing_file_a_folder_and_a_pipe_are_wrong_usage(tmp_path: Path) -> N
 def test_a_file_that_is_not_a_scenario_gets_one_finding_at_the_place(
     tmp_path: Path, content: bytes, code: str, where: tuple[int, int]
 ) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_bytes(content)
+    path = written(tmp_path / "a.yaml", content)
     document = load(path, display="a.yaml")
     assert document.root is None
     assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [
@@ -367,8 +367,7 @@ def test_a_file_that_is_not_a_scenario_gets_one_finding_at_the_place(
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_bytes("\ufeffa: 1\r\nb:\r\n  c: 2\r\n".encode())
+    path = written(tmp_path / "a.yaml", "\ufeffa: 1\r\nb:\r\n  c: 2\r\n".encode())
     document = load(path)
     assert data(document) == {"a": 1, "b": {"c": 2}}
     assert document.root is not None

@@ -41,6 +41,7 @@ from deepbots_cli.robots.model import (
     Sphere,
 )
 from tests.engines.conftest import Worlds
+from tests.files import written
 from tests.named import constant
 from tests.robots.meshes import ball, block
 
@@ -245,8 +246,7 @@ def test_the_rounded_inertia_of_a_thin_disc_is_possible(build):
 
 def test_a_turned_mesh_of_a_link_without_inertia_has_that_of_its_box_in_turned_axes(build, tmp_path):
     """About x, the axis of the hinge: I_x cos^2 + I_y sin^2 of a box that is turned about z."""
-    path = tmp_path / "box.obj"
-    path.write_bytes(block("box.obj", (0.6, 0.2, 0.1)))
+    path = written(tmp_path / "box.obj", block("box.obj", (0.6, 0.2, 0.1)))
     shape = Mesh(str(path), sha256(path.read_bytes()).hexdigest())
     for angle in (0.0, 0.5, pi / 2):
         world = replace(post(Inertial(2.0), shape, turned=Pose(rpy=(0.0, 0.0, angle))), ground=None)
@@ -277,8 +277,7 @@ def test_a_flat_mesh_that_touches_nothing_is_drawn(build, tmp_path):
 
 @pytest.mark.slow
 def test_a_ball_of_more_vertices_than_a_hull_may_have_rests_as_a_ball(build, tmp_path):
-    path = tmp_path / "ball.obj"
-    path.write_bytes(ball(0.2, 80))
+    path = written(tmp_path / "ball.obj", ball(0.2, 80))
     shape = Mesh(str(path), sha256(path.read_bytes()).hexdigest())
     thing = ObjectBody("ball", shape, Pose((0, 0, 0.21)), 1.0)
     engine = build("mujoco", WorldModel(0.01, 10, ground=Ground(1.0), objects=(thing,)))
@@ -287,8 +286,7 @@ def test_a_ball_of_more_vertices_than_a_hull_may_have_rests_as_a_ball(build, tmp
 
 
 def square(folder: Path) -> Mesh:
-    path = folder / "flat.obj"
-    path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
+    path = written(folder / "flat.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 2 4 3\n")
     return Mesh(str(path), sha256(path.read_bytes()).hexdigest())
 
 

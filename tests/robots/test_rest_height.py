@@ -22,6 +22,7 @@ from deepbots_cli.robots import meshes
 from deepbots_cli.robots.kinematics import resting_height, robot_bounds
 from deepbots_cli.robots.model import Mesh, Pose, RobotModel
 from deepbots_cli.robots.reader import read
+from tests.files import written
 from tests.robots.meshes import Point, Triangle, as_obj, as_stl, ball, block
 
 TOLERANCE_M = 5e-4
@@ -172,8 +173,7 @@ ROBOTS = {
 def robot(folder: Path, name: str, inside: str) -> RobotModel:
     for file, content in FILES.items():
         (folder / file).write_bytes(content())
-    path = folder / "robot.urdf"
-    path.write_text(f'<robot name="robot">{inside}</robot>')
+    path = written(folder / "robot.urdf", f'<robot name="robot">{inside}</robot>')
     findings = Findings()
     file = read(path, name, findings)
     assert file is not None, list(findings)
@@ -245,8 +245,7 @@ def test_a_robot_starts_on_its_feet_where_the_reset_sets_its_joints(
     tmp_path: Path, engine: str, foot: str
 ) -> None:
     robot(tmp_path, "robot", lifted(mesh(foot)))
-    file = tmp_path / "rest.yaml"
-    file.write_text(SCENARIO.replace("substeps: 5", f"substeps: 5, engine: {engine}"))
+    file = written(tmp_path / "rest.yaml", SCENARIO.replace("substeps: 5", f"substeps: 5, engine: {engine}"))
     expected = 0.05 + (0.02 if foot == "ball.obj" else 0.025)
     with closing(api.make(file)) as environment:
         environment.reset(seed=0)

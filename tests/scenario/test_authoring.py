@@ -43,6 +43,7 @@ from deepbots_cli.scenario.sensors import SENSORS
 from deepbots_cli.scenario.terrains import TERRAINS
 from deepbots_cli.scenario.training import ALGORITHMS, AUTO
 from deepbots_cli.scenario.world import Arena, World
+from tests.files import written
 from tests.golden.cases import mistakes
 
 ROOT = Path(__file__).parents[2]
@@ -129,26 +130,23 @@ def test_without_agents_the_sections_of_one_agent_are_required() -> None:
 
 
 def test_a_file_with_mistakes_is_not_read(tmp_path: Path) -> None:
-    file = tmp_path / "broken.yaml"
-    file.write_text("deepbots: 1\nname: Broken\n", encoding="utf-8")
+    file = written(tmp_path / "broken.yaml", "deepbots: 1\nname: Broken\n")
     with pytest.raises(ScenarioError, match="missing keys"):
         Scenario.from_yaml(file)
 
 
 def test_a_file_with_a_mistake_in_an_expression_is_not_read(tmp_path: Path) -> None:
-    file = tmp_path / "broken.yaml"
-    file.write_text("deepbots: 1\nextends: cartpole\nparameters: {reach: 1 m kg}\n", encoding="utf-8")
+    file = written(tmp_path / "broken.yaml", "deepbots: 1\nextends: cartpole\nparameters: {reach: 1 m kg}\n")
     with pytest.raises(ScenarioError, match=r"broken.yaml:3:\d+: DB401 an operator is missing"):
         Scenario.from_yaml(file)
 
 
 def test_files_that_only_a_case_or_a_stage_names_are_found_from_anywhere(tmp_path: Path) -> None:
     (tmp_path / "cart.urdf").write_text((ROOT / "robots/urdf/cartpole.urdf").read_text())
-    file = tmp_path / "two.yaml"
-    file.write_text(
+    file = written(
+        tmp_path / "two.yaml",
         "deepbots: 1\nextends: cartpole\nevaluation: {cases: {same: {set: {robots.cart.urdf: cart.urdf}}}}\n"
         "curriculum: [{name: first, set: {robots.cart: {urdf: cart.urdf}}, until: 9 steps}, {name: last}]\n",
-        encoding="utf-8",
     )
     scenario = Scenario.from_yaml(file)
     assert scenario.evaluation.cases["same"].set == {"robots.cart.urdf": str(tmp_path / "cart.urdf")}

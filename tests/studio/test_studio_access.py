@@ -65,6 +65,7 @@ from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import WatchedTraining, comparison_chart, result_text, training_chart
 from deepbots_cli.view.server import LOOPBACK, Gate, listening_socket
 from deepbots_cli.view.training_logs import TrainingLog
+from tests.files import written
 
 TOKEN = "a-token-of-22-letters-"
 SCENARIO = "deepbots: 1\nname: Mine\n"
@@ -531,8 +532,7 @@ def test_an_edit_turns_one_text_into_another(before, after):
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
 @pytest.mark.parametrize("newline", [b"\n", b"\r\n"])
 def test_line_ends_and_the_byte_order_mark_are_kept(tmp_path, mark, newline):
-    path = tmp_path / "mine.yaml"
-    path.write_bytes(mark + newline.join([b"a: 1", b"b: 2", b""]))
+    path = written(tmp_path / "mine.yaml", mark + newline.join([b"a: 1", b"b: 2", b""]))
     file = OpenFile.open(path)
     assert file.text == "a: 1\nb: 2\n"
     file.change(file.revision, "a: 1\r\nb: 3\nc: \ud83d\n")  # half of a character
@@ -611,8 +611,7 @@ def test_a_file_that_was_removed_can_be_saved_again(file):
     ],
 )
 def test_a_file_that_is_no_scenario_is_one_sentence(tmp_path, content, sentence):
-    path = tmp_path / "mine.yaml"
-    path.write_bytes(content)
+    path = written(tmp_path / "mine.yaml", content)
     with pytest.raises(UsageError) as refusal:
         OpenFile.open(path)
     assert str(refusal.value) == sentence
@@ -645,8 +644,7 @@ def test_a_full_disk_is_one_sentence_and_leaves_the_file(file):
 
 
 def test_a_file_of_another_project_is_not_written(tmp_path):
-    path = tmp_path / "mine.yaml"
-    path.write_text("a: 1\n", encoding="utf-8")
+    path = written(tmp_path / "mine.yaml", "a: 1\n")
     file = OpenFile.open(path, read_only=True)
     file.edit([TextEdit(3, 4, "2")])
     with pytest.raises(UsageError, match="belongs to deepbots or another project"):

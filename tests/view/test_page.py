@@ -41,6 +41,7 @@ from deepbots_cli.view.frames import PlottedField
 from deepbots_cli.view.page import Page
 from deepbots_cli.view.playback import ManualInput
 from deepbots_cli.view.replay import open_player
+from tests.files import written
 from tests.private_members import private_members
 
 pytest.importorskip("viser")
@@ -239,8 +240,7 @@ def test_a_link_without_visuals_shows_its_collision_shapes(tmp_path, monkeypatch
     monkeypatch.setattr(viser.SceneApi, "add_cylinder", added)
     robot = shipped.robot_path("cartpole").read_text("utf-8")
     (tmp_path / "bare.urdf").write_text(re.sub(r"(?s)<visual>.*?</visual>", "", robot), encoding="utf-8")
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE.replace("urdf: cartpole\n", "urdf: bare.urdf\n"))
+    file = written(tmp_path / "mine.yaml", CARTPOLE.replace("urdf: cartpole\n", "urdf: bare.urdf\n"))
     with closing(Page(Showing(str(file)), port=0, driver="zero")):
         assert len([name for name in names if "/cart/wheel" in name]) == 4
 
@@ -431,8 +431,7 @@ def test_the_arrows_to_the_sides_also_drive_where_nothing_turns():
 @pytest.mark.parametrize("is_moved", [False, True])
 def test_a_longer_robot_is_seen_from_the_place_before_for_a_moment(tmp_path, monkeypatch, is_moved):
     monkeypatch.setattr("deepbots_cli.view.scene._SETTLING_S", 0.5)
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0, driver="zero")) as page, _client(page) as wire:
 
         def serve(seconds):
@@ -459,8 +458,7 @@ def test_a_longer_robot_is_seen_from_the_place_before_for_a_moment(tmp_path, mon
 
 
 def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0, watch=True, seed=3)) as page:
         _run(page, lambda: page.player.frame.step > 1)
         world = page.player
@@ -481,8 +479,7 @@ def test_a_saved_file_shows_its_findings_and_then_its_world(tmp_path):
 
 
 def test_a_page_that_its_user_paused_stays_paused_after_an_error_is_fixed(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0)) as page:
         page.playback.play(False)
         for text in (CARTPOLE.replace("fall_angle", "fall_angel", 1), CARTPOLE):
@@ -494,8 +491,7 @@ def test_a_page_that_its_user_paused_stays_paused_after_an_error_is_fixed(tmp_pa
 
 @pytest.mark.parametrize("driver", ["backward", "forward,backward"])
 def test_a_saved_file_leaves_the_actions_that_drive_the_page(tmp_path, driver):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0, driver=driver)) as page:
         file.write_text(CARTPOLE.replace("timestep: ", "timestep:  ", 1))
         page.reload()
@@ -503,8 +499,7 @@ def test_a_saved_file_leaves_the_actions_that_drive_the_page(tmp_path, driver):
 
 
 def test_a_page_goes_on_with_its_default_driver_when_a_script_goes(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE + "scripts: {onward: {drive: forward}}\n")
+    file = written(tmp_path / "mine.yaml", CARTPOLE + "scripts: {onward: {drive: forward}}\n")
     with closing(Page(Showing(str(file)), port=0, driver="onward")) as page:
         file.write_text(CARTPOLE)
         page.reload()
@@ -528,8 +523,7 @@ def test_a_page_shows_a_saved_file_of_the_scenario_beside(tmp_path):
 
 @pytest.mark.slow
 def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path, monkeypatch):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
         read = Showing.open
         world = page.player
@@ -548,8 +542,7 @@ def test_a_save_while_the_one_before_is_read_is_not_lost(tmp_path, monkeypatch):
 
 
 def test_a_scenario_with_errors_opens_with_its_findings(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
+    file = written(tmp_path / "mine.yaml", CARTPOLE.replace("velocity_motor", "velocity_moto<b>r", 1))
     with closing(Page(Showing(str(file)), port=0, watch=True)) as page:
         assert page.player is None
         assert "mine.yaml" in page.banner.content
@@ -663,8 +656,7 @@ def test_a_changed_parameter_counts_at_the_same_seed():
 
 
 def test_a_slider_begins_at_the_value_that_was_saved(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(CARTPOLE)
+    file = written(tmp_path / "mine.yaml", CARTPOLE)
     with closing(Page(Showing(str(file)), port=0)) as page:
         assert _control(page, "fall_angle (deg)").value == 15.0
         file.write_text(CARTPOLE.replace("15 deg", "12 deg", 1))

@@ -40,6 +40,7 @@ from deepbots_cli.view.episodes import Player, Showing
 from deepbots_cli.view.frames import FrameReader, WorldFrame, action_fields, observation_fields
 from deepbots_cli.view.replay import ReplayPlayer, open_player, verify, version_changes
 from tests.few import few
+from tests.files import written
 
 pytest.importorskip("mcap")
 
@@ -172,8 +173,10 @@ def test_what_was_recorded_once_happens_again(name, tmp_path, capsys):
     """Recordings in the folder `golden`, which `deepbots render NAME --seed 1 --steps N` wrote; the tolerance
     is for other machines."""
     pytest.importorskip("pybullet")  # with which they were recorded
-    path = tmp_path / f"{name}.mcap"
-    path.write_bytes(lzma.decompress((Path(__file__).parent / "golden" / f"{name}.mcap.xz").read_bytes()))
+    path = written(
+        tmp_path / f"{name}.mcap",
+        lzma.decompress((Path(__file__).parent / "golden" / f"{name}.mcap.xz").read_bytes()),
+    )
     assert main(["replay", "--verify", str(path), "--tolerance", "1e-6"]) == 0, capsys.readouterr()
     assert "are the same within 1e-06" in capsys.readouterr().out
 
@@ -350,8 +353,7 @@ def test_a_bomb_is_not_unpacked(find_ball, tmp_path):
         record.write(builder)
     stream.write(builder.end())
     stream.write(b"\x89MCAP0\r\n")
-    path = tmp_path / "bomb.mcap"
-    path.write_bytes(stream.getvalue())
+    path = written(tmp_path / "bomb.mcap", stream.getvalue())
     with pytest.raises(RecordingError, match="larger than 512 MiB when decompressed"):
         Recording.read(path)
 

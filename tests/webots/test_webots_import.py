@@ -50,6 +50,7 @@ from deepbots_webots.syntax import (
     WorldError,
     parse,
 )
+from tests.files import written
 from tests.webots.exported_projects import HEADER, node, read
 
 WORLD = """
@@ -516,8 +517,7 @@ def test_a_world_without_motors_is_one_sentence(tmp_path: Path) -> None:
 
 def test_nothing_outside_the_project_is_read(tmp_path: Path) -> None:
     world = project(tmp_path / "project", judge=f"import secret\n{JUDGE}")
-    secret = tmp_path / "secret.py"
-    secret.write_text("LIMIT = 123456\n")
+    secret = written(tmp_path / "secret.py", "LIMIT = 123456\n")
     (world.parent.parent / "controllers" / "judge" / "secret.py").symlink_to(secret)
     starter = from_webots(world, (), "cart", "Cart")
     assert not any("123456" in content.decode() for content in starter.files.values())
@@ -664,8 +664,9 @@ def test_a_proto_of_the_project_is_read_from_its_file(tmp_path: Path):
         HEADER
         + "PROTO Ball [ field SFFloat radius 1 ] { Solid { boundingObject Sphere { radius IS radius } } }"
     )
-    path = tmp_path / "worlds" / "w.wbt"
-    path.write_text(HEADER + 'EXTERNPROTO "../protos/Ball.proto"\nBall { radius 0.5 }')
+    path = written(
+        tmp_path / "worlds" / "w.wbt", HEADER + 'EXTERNPROTO "../protos/Ball.proto"\nBall { radius 0.5 }'
+    )
     assert build_scene(read_world(path)).bodies[0].geometries[0].shape.radius == 0.5
 
 
@@ -676,8 +677,10 @@ def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest
         HEADER + "PROTO Duck [ ] { Solid { boundingObject Sphere { radius 0.1 } } }"
     )
     (tmp_path / "project" / "worlds").mkdir(parents=True)
-    path = tmp_path / "project" / "worlds" / "w.wbt"
-    path.write_text(HEADER + 'EXTERNPROTO "webots://projects/objects/toys/Duck.proto"\nDuck { }')
+    path = written(
+        tmp_path / "project" / "worlds" / "w.wbt",
+        HEADER + 'EXTERNPROTO "webots://projects/objects/toys/Duck.proto"\nDuck { }',
+    )
     missing = read_world(path).findings.errors
     assert [finding.headline for finding in missing] == ["PROTO Duck is not available"]
     assert not read_world(path, [tmp_path / "webots"]).findings.errors
@@ -837,8 +840,7 @@ def test_findings_have_their_place_and_a_suggestion():
 
 @pytest.mark.skipif(os.name == "nt", reason="links need rights there")
 def test_nothing_is_read_outside_of_the_project(tmp_path: Path):
-    secret = tmp_path / "Secret.proto"
-    secret.write_text(HEADER + "PROTO Secret [ ] { Solid { } }")
+    secret = written(tmp_path / "Secret.proto", HEADER + "PROTO Secret [ ] { Solid { } }")
     (tmp_path / "project" / "worlds").mkdir(parents=True)
     (tmp_path / "project" / "protos").mkdir()
     (tmp_path / "project" / "protos" / "Secret.proto").symlink_to(secret)
@@ -1062,8 +1064,9 @@ def test_a_template_of_a_proto_is_a_finding_that_says_what_to_do(tmp_path: Path)
     (tmp_path / "protos" / "Thing.proto").write_text(
         f"{HEADER}PROTO Thing [ ] {{ {body} }}", encoding="utf-8"
     )
-    world = tmp_path / "worlds" / "w.wbt"
-    world.write_text(f'{HEADER}EXTERNPROTO "../protos/Thing.proto"\nThing {{ }}', encoding="utf-8")
+    world = written(
+        tmp_path / "worlds" / "w.wbt", f'{HEADER}EXTERNPROTO "../protos/Thing.proto"\nThing {{ }}'
+    )
     (finding,) = read_world(world).findings.errors
     assert finding.headline == "PROTO Thing is a template with code, which deepbots does not run"
     assert "Convert to Base Node(s)" in finding.help

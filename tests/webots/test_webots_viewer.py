@@ -43,6 +43,7 @@ from deepbots_webots.simulation import MAX_DELAY_S, Pace, Simulation
 from deepbots_webots.supervisor import Keyboard
 from deepbots_webots.viewer import FRAME_RATE, Viewer
 from tests.commands import until
+from tests.files import written
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA
 from tests.webots.exported_projects import HEADER, device, read, simulate, solid
@@ -256,8 +257,9 @@ def test_a_world_in_real_time_waits_and_does_not_catch_up():
 
 def paused(folder: Path, **options: float) -> tuple[Pace, Runner]:
     """Return a run of a controller that only steps, and its pace, which is paused."""
-    program = folder / "c.py"
-    program.write_text("from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n")
+    program = written(
+        folder / "c.py", "from controller import Robot\nrobot = Robot()\nwhile robot.step(8) != -1: pass\n"
+    )
     simulation = simulate('Robot { controller "c" }')
     pace = Pace(simulation, is_fast=True)
     pace.pause()
@@ -287,8 +289,7 @@ def test_a_paused_world_makes_single_steps_and_no_timeout_ends_it(tmp_path):
 def test_a_run_leaves_the_environment_of_the_process_as_it_was(tmp_path, monkeypatch):
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     before = dict(os.environ)
-    path = tmp_path / "program.py"
-    path.write_text("import os\nassert os.environ['OMP_NUM_THREADS'] == '1'\n", encoding="utf-8")
+    path = written(tmp_path / "program.py", "import os\nassert os.environ['OMP_NUM_THREADS'] == '1'\n")
     simulation = simulate('Robot { name "box" controller "program" }')
     runner = Runner(simulation, [(simulation.scene.robots[0], Program("program", path))])
     assert (runner.run().exit_code, dict(os.environ)) == (0, before)
