@@ -47,6 +47,7 @@ from deepbots_cli.learning.runs.run import Run, TrainingResult
 from tests.cluster.calls import Echo, imported, lose, priority, square
 from tests.cluster.nodes import cluster_of_nodes
 from tests.commands import Deepbots
+from tests.files import written
 from tests.learning.interruption import At
 
 
@@ -67,8 +68,7 @@ def test_results_and_errors_come_in_the_order_of_the_items(either: Cluster) -> N
 def test_a_worker_with_another_version_or_without_a_file_is_refused(
     either: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    file = tmp_path / "group.json"
-    file.write_text("{}")
+    file = written(tmp_path / "group.json", "{}")
     unseen = either.map(square, range(2), files=[file])
     file.write_text("{ }")
     with pytest.raises(
@@ -111,8 +111,7 @@ with Cluster(workers=2) as cluster:
 
 def begun(seconds: int, folder: Path) -> tuple[subprocess.Popen[str], set[int]]:
     """A script without a guard of its main module, and its two workers once they work."""
-    script = folder / "script.py"
-    script.write_text(SCRIPT.format(seconds=seconds))
+    script = written(folder / "script.py", SCRIPT.format(seconds=seconds))
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
     process = subprocess.Popen([sys.executable, script], stdout=subprocess.PIPE, text=True, env=environment)
     assert process.stdout is not None
@@ -142,16 +141,17 @@ def test_no_worker_outlives_its_parent(number: signal.Signals, tmp_path: Path) -
 
 
 def test_workers_run_without_ray(
-    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, deepbots: Deepbots
 ) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     monkeypatch.delitem(sys.modules, "deepbots_cli.cluster.ray_cluster")
     monkeypatch.chdir(tmp_path)
     assert main(["test", "cartpole", "find_ball", "--workers", "2"]) == 0
     assert list(cluster.map(imported, ["ray", "deepbots_cli"])) == [False, True]
-    capsys.readouterr()
-    assert main(["test", "cartpole", "find_ball", "--cluster", "auto"]) == 2
-    assert "error: --cluster needs the 'cluster' extra" in capsys.readouterr().err
+    assert (
+        "error: --cluster needs the 'cluster' extra"
+        in deepbots("test", "cartpole", "find_ball", "--cluster", "auto", code=2).err
+    )
 
 
 def test_workers_have_our_priority(cluster: Cluster) -> None:

@@ -58,6 +58,7 @@ from deepbots_cli.rollout.worlds import SingleWorlds
 from deepbots_cli.runtime.spaces import action_space
 from deepbots_cli.scenario.training import ALGORITHMS
 from tests.few import few
+from tests.files import written
 from tests.learning.interruption import becomes_the_same
 from tests.private_members import private_members
 
@@ -124,10 +125,10 @@ def test_an_adaptive_rate_moves_against_the_divergence_within_its_limits(diverge
 
 @pytest.mark.slow
 def test_a_training_writes_the_rate_that_it_took(tmp_path: Path) -> None:
-    path = tmp_path / "cart.yaml"
-    path.write_text(
+    path = written(
+        tmp_path / "cart.yaml",
         "deepbots: 1\nextends: cartpole\nname: Adaptive\nworld: {engine: mujoco}\ntrain: {algorithm: PPO, total_timesteps: 1024, n_steps: 64,"
-        " environments: 2, batch_size: 64, learning_rate: {kl: 1.0e-5, start: 2e-3}}\n"
+        " environments: 2, batch_size: 64, learning_rate: {kl: 1.0e-5, start: 2e-3}}\n",
     )
     result = train(path, run=tmp_path / "run", loggers=["csv"], stop_when_solved=False)
     rows = [line.split(",") for line in (result.run / "logs" / "scalars.csv").read_text().splitlines()]
@@ -503,9 +504,9 @@ def test_fast_actions_are_those_of_the_policy_to_the_bit() -> None:
 def scenario(
     folder: Path, algorithm: str = "PPO", settings: str = FEW_STEPS, more: str = "", base: str = "cartpole"
 ) -> Path:
-    path = folder / "cart.yaml"
-    path.write_text(CART.format(base=base, algorithm=algorithm, settings=settings, more=more))
-    return path
+    return written(
+        folder / "cart.yaml", CART.format(base=base, algorithm=algorithm, settings=settings, more=more)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -568,8 +569,9 @@ def test_an_export_does_not_have_the_critic(trained: TrainingResult) -> None:
 
 def test_a_scenario_with_the_section_has_another_digest(tmp_path: Path) -> None:
     with_critic = api.compile(scenario(tmp_path)).program
-    path = tmp_path / "plain.yaml"
-    path.write_text((tmp_path / "cart.yaml").read_text().replace("critic:", "# critic:"))
+    path = written(
+        tmp_path / "plain.yaml", (tmp_path / "cart.yaml").read_text().replace("critic:", "# critic:")
+    )
     assert digest(api.compile(path).program) != digest(with_critic)
 
 
@@ -626,8 +628,7 @@ train: {algorithm: PPO, total_timesteps: 512, symmetry: {swap: {left: right}, fl
 
 
 def compiled(folder: Path, text: str) -> Any:
-    path = folder / "mirrored.yaml"
-    path.write_text(text)
+    path = written(folder / "mirrored.yaml", text)
     return api.compile(path).program
 
 
@@ -735,8 +736,7 @@ def test_an_update_has_each_sample_and_its_mirror_image() -> None:
 
 @pytest.mark.slow
 def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> None:
-    path = tmp_path / "cart.yaml"
-    path.write_text(CART_SYMMETRY)
+    path = written(tmp_path / "cart.yaml", CART_SYMMETRY)
     becomes_the_same(path, tmp_path, 200, engine="pybullet")
 
 

@@ -49,6 +49,7 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode
 from deepbots_cli.rollout.source import Source
 from tests.commands import Deepbots
+from tests.files import written
 
 
 def figures(trained: TrainingResult, **settings: object) -> dict[str, object]:
@@ -363,9 +364,7 @@ def conditions_of(path: Path, mass_of: str | None = None) -> tuple[Document, dic
 
 def extended(tmp_path: Path, text: str, name: str = "cartpole") -> Path:
     """A file that extends a shipped scenario."""
-    path = tmp_path / "own.yaml"
-    path.write_text(f"deepbots: 1\nextends: {name}\nname: Own\n{text}", encoding="utf-8")
-    return path
+    return written(tmp_path / "own.yaml", f"deepbots: 1\nextends: {name}\nname: Own\n{text}")
 
 
 def test_the_levels_of_a_latency_are_whole_timesteps_whatever_the_timestep(tmp_path: Path) -> None:
@@ -406,13 +405,12 @@ def test_the_observation_of_an_agent_that_shares_a_policy_has_noise_too(tmp_path
 def with_success(trained: TrainingResult, tmp_path: Path) -> Path:
     """The scenario of a run with a success."""
     text = (trained.run / "resolved.yaml").read_text()
-    path = tmp_path / "success.yaml"
-    path.write_text(
+    return written(
+        tmp_path / "success.yaml",
         text.replace("inputs/robots/urdf/cartpole.urdf", "cartpole").replace(
             "failure:", "success: {far: abs(x) > 1 m}\n  failure:"
-        )
+        ),
     )
-    return path
 
 
 def test_a_required_return_of_solved_counts_although_the_scenario_defines_success(

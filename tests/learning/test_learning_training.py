@@ -58,6 +58,7 @@ from deepbots_cli.learning.training import training_of
 from deepbots_cli.program.task import Network, Schedule, Solved, Training
 from tests.commands import Deepbots
 from tests.few import few
+from tests.files import written
 from tests.learning.interruption import At
 
 
@@ -571,10 +572,8 @@ EXPECTED = {
 def compiled(folder: Path, scenario: str, train: str | None = None) -> Compiled:
     """A shipped scenario with this `train` section instead of its own, with the learner that is chosen."""
     own = "" if train is None else f"train: {train}\n"
-    base = folder / "base.yaml"
-    base.write_text(f"deepbots: 1\nextends: {scenario}\nname: Base\nremove: [train]\n", encoding="utf-8")
-    file = folder / "mine.yaml"
-    file.write_text(f"deepbots: 1\nextends: base.yaml\nname: Mine\n{own}", encoding="utf-8")
+    written(folder / "base.yaml", f"deepbots: 1\nextends: {scenario}\nname: Base\nremove: [train]\n")
+    file = written(folder / "mine.yaml", f"deepbots: 1\nextends: base.yaml\nname: Mine\n{own}")
     return api.with_learner(api.compile(file))
 
 
@@ -665,9 +664,9 @@ def test_a_scenario_without_train_is_otherwise_as_before(tmp_path: Path) -> None
 
 def test_what_no_algorithm_can_act_in_is_an_error(tmp_path: Path) -> None:
     base = compiled(tmp_path, "cartpole").source
-    mixed = tmp_path / "mixed.yaml"
-    mixed.write_text(
-        f"deepbots: 1\nextends: {base.name}\nname: Mixed\naction: {{more: -1 .. 1}}\n", encoding="utf-8"
+    mixed = written(
+        tmp_path / "mixed.yaml",
+        f"deepbots: 1\nextends: {base.name}\nname: Mixed\naction: {{more: -1 .. 1}}\n",
     )
     with pytest.raises(ScenarioError, match="no algorithm supports choices and ranges"):
         train(mixed, run=tmp_path / "run")
@@ -735,8 +734,7 @@ train: {total_timesteps: 400, environments: 2, n_steps: 32, batch_size: 32, n_ep
 def test_it_is_trained_evaluated_and_gone_on_with(tmp_path: Path, kind: str) -> None:
     base = shipped.scenario_path("cartpole")
     assert base is not None
-    scenario = tmp_path / f"{kind}.yaml"
-    scenario.write_text(f"deepbots: 1\nextends: {base}\nname: Kind\n{KINDS[kind]}", encoding="utf-8")
+    scenario = written(tmp_path / f"{kind}.yaml", f"deepbots: 1\nextends: {base}\nname: Kind\n{KINDS[kind]}")
     compiled = api.compile(scenario, overrides=["world.engine=mujoco"])  # which is the faster
     result = train(compiled, run=tmp_path / "run")
     first, again = (evaluate(result.run, episodes=2) for _ in range(2))
@@ -965,6 +963,5 @@ def test_a_kept_episode_without_its_run_is_refused(failed: Path, tmp_path: Path,
 
 
 def test_a_scenario_in_json_is_not_a_kept_episode(tmp_path: Path, deepbots: Deepbots) -> None:
-    scenario = tmp_path / "mine.json"
-    scenario.write_text('{"deepbots": 1, "extends": "cartpole", "name": "Mine"}')
+    scenario = written(tmp_path / "mine.json", '{"deepbots": 1, "extends": "cartpole", "name": "Mine"}')
     assert "episodes" in deepbots("try", scenario, "--episodes", "1").out
