@@ -85,8 +85,11 @@ class StudioTab:
     def wait(self, script: str, seconds: float = 30.0) -> Any:
         return self.tab.wait(script, seconds)
 
-    def type(self, text: str) -> None:
+    def type(self, text: str, *, then: str = "", seconds: float = 30.0) -> None:
+        """Type a text, and wait until the script `then`, if any, is true."""
         self.tab.call("Input.insertText", text=text)
+        if then:
+            self.wait(then, seconds)
 
     def press(self, key: tuple[str, int], times: int = 1, modifiers: int = 0) -> None:
         name, code = key
@@ -119,10 +122,13 @@ class StudioTab:
             self.tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
         self.press(("End", 35))
 
-    def click(self, label: str, tag: str = "button") -> None:
+    def click(self, label: str, tag: str = "button", *, then: str = "", seconds: float = 30.0) -> None:
+        """Click on what has this label, and wait until the script `then`, if any, is true."""
         script = """(() => { const one = [...document.querySelectorAll('%s')].find(
             one => one.innerText.trim() == %s && one.offsetParent && !one.disabled); one?.click(); return !!one; })()"""
         self.wait(script % (tag, json.dumps(label)))
+        if then:
+            self.wait(then, seconds)
 
     def open_tab(self, label: str) -> None:
         self.click(label, "[role=tab]")

@@ -42,8 +42,7 @@ def erase(page: StudioTab, count: int) -> None:
 
 def check(page: StudioTab) -> str:
     page.open_tab("Lesson")
-    page.click("Check")
-    page.wait("document.querySelector('.studio-work').innerText.includes('checking ...')")
+    page.click("Check", then="document.querySelector('.studio-work').innerText.includes('checking ...')")
     points = "/^\\d+ of \\d+ points$/"
     script = f"[...document.querySelectorAll('.studio-work .studio-status')].map(one => one.innerText).find(text => {points}.test(text))"
     return str(page.wait(script, 120))
@@ -60,8 +59,9 @@ def test_lesson_1_is_done_on_the_page(tmp_path: Path) -> None:
         assert check(page) == "0 of 10 points"
         page.wait("document.querySelector('.studio-lesson-text').innerText.includes('# or press Check')")
         # A hint stays below its step, also after the next check.
-        page.click("Hint")
-        page.wait("document.querySelector('.studio-lesson-steps').innerText.includes('Hint 1: ')")
+        page.click(
+            "Hint", then="document.querySelector('.studio-lesson-steps').innerText.includes('Hint 1: ')"
+        )
         assert check(page) == "0 of 10 points"
         assert "Hint 1: " in page.tab.run("document.querySelector('.studio-lesson-steps').innerText")
 
@@ -103,7 +103,6 @@ def test_lesson_3_is_done_on_the_page_with_a_training(tmp_path: Path) -> None:
         page.press(ENTER)
         page.type("closer: -10 * delta(apart) / m")
         page.open_tab("Train")
-        page.click("Train")
-        page.wait(RUN_ENDED, 1200)
+        page.click("Train", then=RUN_ENDED, seconds=1200)
         assert check(page) == "7 of 10 points"
         assert not page.tab.errors

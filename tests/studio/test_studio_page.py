@@ -83,8 +83,7 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     page.click_line("  fall_angle:")
     page.press(("Home", 36))
     page.click_line("  alive: 1")
-    page.type("0 parsec")
-    page.wait("document.querySelectorAll('.studio-error').length > 0")
+    page.type("0 parsec", then="document.querySelectorAll('.studio-error').length > 0")
     assert any("parsec" in finding for finding in page.findings())
     page.press(BACKSPACE, len("0 parsec"))
     page.wait("document.querySelectorAll('.studio-row-error').length == 0")
@@ -92,13 +91,12 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     # Keys and expressions are completed.
     page.click_line("  alive: 1")
     page.press(ENTER)
-    page.type("upright: ab")
-    page.wait(
-        "[...document.querySelectorAll('.cm-tooltip-autocomplete li')].some(li => li.innerText.startsWith('abs'))"
+    page.type(
+        "upright: ab",
+        then="[...document.querySelectorAll('.cm-tooltip-autocomplete li')].some(li => li.innerText.startsWith('abs'))",
     )
     page.press(ESCAPE)
-    page.type("s(cart.pole_angle) / 1 rad")
-    page.wait("document.querySelectorAll('.studio-row-error').length == 0")
+    page.type("s(cart.pole_angle) / 1 rad", then="document.querySelectorAll('.studio-row-error').length == 0")
 
     # Saving restarts the robot with the new text.
     page.save()
@@ -106,8 +104,10 @@ def test_a_person_writes_sees_and_trains(studio: Served, folder, new_tab):
     assert "  upright: abs(cart.pole_angle) / 1 rad\n" in (folder / "mine.yaml").read_text("utf-8")
 
     # The curve follows the training, which ends with a result in the list of runs.
-    page.click("Train")
-    page.wait("document.querySelector('.studio-work').textContent.includes('deepbots train mine.yaml')")
+    page.click(
+        "Train",
+        then="document.querySelector('.studio-work').textContent.includes('deepbots train mine.yaml')",
+    )
     page.wait(
         "/mine-1: (training|finished), [0-9,]+/.test(document.querySelector('.studio-work').innerText)", 60
     )
@@ -146,8 +146,9 @@ def test_a_file_changed_outside_is_taken_or_kept(studio: Served, folder, new_tab
     (folder / "mine.yaml").write_text(SCENARIO.replace("name: Mine", "name: Theirs"), encoding="utf-8")
     page.wait("document.querySelector('.cm-content').innerText.includes('name: Theirs')")
     page.click_line("name: Theirs")
-    page.type(" and mine")
-    page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save *')")
+    page.type(
+        " and mine", then="[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Save *')"
+    )
     (folder / "mine.yaml").write_text(SCENARIO.replace("name: Mine", "name: Others"), encoding="utf-8")
     page.click("Keep this text")
     assert "name: Theirs and mine" in page.text
@@ -158,27 +159,28 @@ def test_a_finding_is_corrected_by_a_click_and_explained_with_links(studio: Serv
     page.click_line("    fallen:")
     page.press(BACKSPACE, len("fall_angle"))
     page.type("fal_angle")
-    page.click("Replace `fal_angle` with `fall_angle` (check it)")
-    page.wait("document.querySelectorAll('.studio-row').length == 0")
+    page.click(
+        "Replace `fal_angle` with `fall_angle` (check it)",
+        then="document.querySelectorAll('.studio-row').length == 0",
+    )
     assert "> fall_angle" in page.text
 
-    page.click("Explain ...")
-    page.wait("document.activeElement.tagName == 'INPUT'")
+    page.click("Explain ...", then="document.activeElement.tagName == 'INPUT'")
     page.type("reward")
     page.press(ENTER)
     answer = "document.querySelector('.studio-dialog .studio-answer')"
     page.wait(f"{answer}.innerText.includes('a key of a scenario')")
     page.tab.run(f"[...{answer}.querySelectorAll('a')].find(one => one.innerText == 'return').click()")
     page.wait(f"{answer}.innerText.startsWith('return: a concept')")
-    page.click("Back")
-    page.wait(f"{answer}.innerText.startsWith('reward: a concept')")
+    page.click("Back", then=f"{answer}.innerText.startsWith('reward: a concept')")
     assert not page.tab.errors
 
 
 def test_the_result_of_a_command_is_shown_where_it_was_started(studio: Served, new_tab):
     page = StudioTab(new_tab(), studio.address)
-    page.click("Try")
-    page.wait("document.body.innerText.includes('A few episodes of mine.yaml: finished')", 60)
+    page.click(
+        "Try", then="document.body.innerText.includes('A few episodes of mine.yaml: finished')", seconds=60
+    )
     sentence = "document.querySelector('.studio-sentence')?.innerText"
     page.wait(f"/^Random actions: 3 episodes, mean return .*, all ended by /.test({sentence})", 60)
     # The output is behind the sentence.
@@ -186,8 +188,7 @@ def test_the_result_of_a_command_is_shown_where_it_was_started(studio: Served, n
     page.tab.run("document.querySelector('.studio-details summary').click()")
     page.wait("document.querySelector('.studio-result').innerText.includes('summary of 3 episodes')")
     assert page.tab.run("document.querySelector('[role=tab][aria-selected=true]').innerText") == "Train"
-    page.click("Close")
-    page.wait("!document.querySelector('.studio-result')?.offsetParent")
+    page.click("Close", then="!document.querySelector('.studio-result')?.offsetParent")
 
 
 def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new_tab):
@@ -197,14 +198,7 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
     )
     for name, text in (("mine-1", solved), ("mine-2", missed)):
         (folder / "mine.yaml").write_text(text, encoding="utf-8")
-        words = ("train", "mine.yaml", "--run", f"runs/{name}", "--timesteps", "2048")
-        subprocess.run(
-            python_command("deepbots_cli", *words),
-            cwd=folder,
-            env=python_environment(),
-            check=True,
-            capture_output=True,
-        )
+        _train(folder, name)
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address)
         cause = "document.querySelector('.studio-result')?.innerText.includes('Changed since runs/mine-1')"
@@ -212,17 +206,18 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         select = "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == '{}').click()"
         page.wait("document.querySelector('table')?.innerText.includes('mine-2')")
         page.tab.run(select.format("mine-2"))
-        page.click("Evaluate")
-        page.wait("!!document.querySelector('.studio-runs')?.offsetParent")
-        page.click("Curve")
-        page.wait("document.querySelector('.studio-unsolved')?.innerText.includes('not solved')")
-        page.click("Why is it not solved?")
-        page.wait(cause, 90)
+        page.click("Evaluate", then="!!document.querySelector('.studio-runs')?.offsetParent")
+        page.click(
+            "Curve", then="document.querySelector('.studio-unsolved')?.innerText.includes('not solved')"
+        )
+        page.click("Why is it not solved?", then=cause, seconds=90)
         # The ring of the evaluation that was begun before does not turn beside the finished diagnosis.
         assert not page.tab.run("!!document.querySelector('.studio-runs')?.offsetParent")
         page.click("Set truncation.max_steps back to 100")
-        page.click("Remove robots.cart.links.pole")
-        page.wait("document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')")
+        page.click(
+            "Remove robots.cart.links.pole",
+            then="document.querySelector('.cm-content').innerText.includes('truncation: {max_steps: 100}')",
+        )
         page.wait("!document.querySelector('.cm-content').innerText.includes('scale')")
         # The diagnosis is of the other run.
         page.tab.run(select.format("mine-1"))
@@ -236,18 +231,17 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         page.wait(f"/mine-2 and mine-1 cannot be compared/.test({result})", 120)
         picture = "document.querySelector('.studio-compared canvas').toDataURL()"
         page.tab.run(f"window.light = {picture}; 1")
-        page.click("Dark")
-        page.wait(f"{picture} != window.light")
+        page.click("Dark", then=f"{picture} != window.light")
         page.click("Back to the runs")
         page.tab.run(select.format("mine-1"))
-        page.click("Curve")
-        page.wait(
-            "document.querySelector('.studio-status.studio-solved')?.innerText.includes('solved after')"
+        page.click(
+            "Curve",
+            then="document.querySelector('.studio-status.studio-solved')?.innerText.includes('solved after')",
         )
         assert not page.tab.errors
-        page.click("Watch")
-        page.wait(
-            "document.querySelector('[aria-label=\"Robot of\"]').closest('.q-field').innerText.includes('mine-1')"
+        page.click(
+            "Watch",
+            then="document.querySelector('[aria-label=\"Robot of\"]').closest('.q-field').innerText.includes('mine-1')",
         )
 
 
@@ -265,8 +259,9 @@ def test_text_typed_without_a_server_is_kept_and_offered(folder, new_tab):
     with served(folder, "mine.yaml", "--port", str(port)) as second:
         page = StudioTab(tab, second.address)
         assert "name: Minecraft" not in page.text
-        page.click("Use it")
-        page.wait("document.querySelector('.cm-content').innerText.includes('name: Minecraft')")
+        page.click(
+            "Use it", then="document.querySelector('.cm-content').innerText.includes('name: Minecraft')"
+        )
         page.save()
         page.wait("[...document.querySelectorAll('button')].some(b => b.innerText.trim() == 'Saved')")
     assert "name: Minecraft\n" in (folder / "mine.yaml").read_text("utf-8")
@@ -309,9 +304,9 @@ def _click(page: StudioTab, element: str) -> None:
         page.tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
 
-def _train(folder: Path) -> None:
+def _train(folder: Path, name: str = "mine-1") -> None:
     subprocess.run(
-        python_command("deepbots_cli", "train", "mine.yaml", "--run", "runs/mine-1", "--timesteps", "2048"),
+        python_command("deepbots_cli", "train", "mine.yaml", "--run", f"runs/{name}", "--timesteps", "2048"),
         cwd=folder,
         env=python_environment(),
         check=True,
@@ -328,15 +323,18 @@ def test_a_curve_and_the_buttons_of_an_output_are_in_view_on_a_small_screen(fold
         page.tab.run(
             "[...document.querySelectorAll('td')].find(cell => cell.innerText.trim() == 'mine-1').click()"
         )
-        page.click("Curve")
-        page.wait("document.querySelector('.studio-chart canvas, .studio-chart svg')?.clientHeight >= 220")
+        page.click(
+            "Curve",
+            then="document.querySelector('.studio-chart canvas, .studio-chart svg')?.clientHeight >= 220",
+        )
         chart = _rectangle(page, "document.querySelector('.studio-chart')")
         assert chart["height"] >= 220
         assert chart["bottom"] <= 800
 
         # The output scrolls below the buttons; the notice is in the header, and covers no button.
-        page.click("Try")
-        page.wait("document.querySelector('.studio-result')?.innerText.includes('ended by')", 90)
+        page.click(
+            "Try", then="document.querySelector('.studio-result')?.innerText.includes('ended by')", seconds=90
+        )
         page.tab.run("document.querySelector('.studio-details summary').click()")
         page.tab.run("document.querySelector('.studio-scroll').scrollTop = 250")
         button = "[...document.querySelectorAll('button')].find(one => one.innerText.trim() == '{}')"
@@ -377,8 +375,7 @@ def test_bars_move_by_mouse_and_keys_and_the_sizes_and_options_are_kept(folder, 
         page.press(("ArrowUp", 38))
         page.wait(f"document.querySelector('.studio-robot').clientHeight < {robot - 5}")
         page.tab.run("document.querySelector('[aria-label=Timesteps]').focus()")
-        page.type("512")
-        page.wait("localStorage.getItem('deepbots-studio-size-robot') == '48'")
+        page.type("512", then="localStorage.getItem('deepbots-studio-size-robot') == '48'")
         width = _rectangle(page, text)["right"]
 
         page.load(studio.address)
@@ -434,8 +431,7 @@ def test_a_narrow_page_shows_the_robot_and_its_controls(folder, new_tab, width):
         page.wait(RUNS, 60)
         if width < 960:
             assert not page.tab.run("document.querySelector('.studio-robot').checkVisibility()")
-            page.click("Robot")
-            page.wait("document.querySelector('.studio-robot').checkVisibility()")
+            page.click("Robot", then="document.querySelector('.studio-robot').checkVisibility()")
             assert not page.tab.run("document.querySelector('.cm-editor').checkVisibility()")
             assert page.tab.run("document.querySelector('.studio-save').checkVisibility()")
         frame = "document.querySelector('.studio-frame').contentDocument"
@@ -485,17 +481,18 @@ def test_end_and_home_go_to_the_ends_of_a_wrapped_line_in_two_steps(folder, new_
         page = StudioTab(new_tab(), studio.address, 1280, 800)
         page.click_line("  alive: 1")
         page.press(("End", 35), 4)
-        page.type("!")
-        page.wait("document.querySelector('.cm-content').innerText.includes('with an end!')")
+        page.type("!", then="document.querySelector('.cm-content').innerText.includes('with an end!')")
         page.press(("Home", 36), 5)
-        page.type("  # at the begin ")
-        page.wait("document.querySelector('.cm-content').innerText.includes('# at the begin   alive: 1')")
+        page.type(
+            "  # at the begin ",
+            then="document.querySelector('.cm-content').innerText.includes('# at the begin   alive: 1')",
+        )
         # From the begin of the line, the first End is the end of the first visual line.
         page.press(("Home", 36), 5)
         page.press(("End", 35))
-        page.type("?")
-        page.wait(
-            "/a long comment \\?a long|a long \\?comment|a \\?long/.test(document.querySelector('.cm-content').innerText)"
+        page.type(
+            "?",
+            then="/a long comment \\?a long|a long \\?comment|a \\?long/.test(document.querySelector('.cm-content').innerText)",
         )
 
 
@@ -536,8 +533,7 @@ def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(f
     dropped.write_text(good.replace("<parent ", "<parnt ", 1), encoding="utf-8")
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)
-        page.click("New ...")
-        page.wait("!!document.querySelector('.studio-start').offsetParent")
+        page.click("New ...", then="!!document.querySelector('.studio-start').offsetParent")
         drop(page, dropped)
         page.wait("!!document.querySelector('.studio-dialog .cm-line')")
         assert "without <parent>" in page.tab.run("document.querySelector('.studio-dialog').innerText")
@@ -557,29 +553,33 @@ def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(f
         page.wait(f"!!{task}")
         assert (folder / "buggy.urdf").read_text("utf-8") == good
         page.tab.run(f"{task}.click()")
-        page.click("Create")
-        page.wait("document.querySelector('.studio-files').innerText.includes('buggy.yaml')", 60)
+        page.click(
+            "Create",
+            then="document.querySelector('.studio-files').innerText.includes('buggy.yaml')",
+            seconds=60,
+        )
         assert "summary: A robot on wheels drives to a mark." in (folder / "buggy.yaml").read_text("utf-8")
 
         heavier = good.replace('<mass value="1"/>', '<mass value="2"/>')
         dropped.write_text(heavier, encoding="utf-8")
         page.click("New ...")
         drop(page, dropped)
-        page.click("Replace it")
-        page.wait("!!document.querySelector('.studio-dialog input[aria-label=Name]')")
+        page.click("Replace it", then="!!document.querySelector('.studio-dialog input[aria-label=Name]')")
         assert (folder / "buggy.urdf").read_text("utf-8") == heavier
 
         # The list of files opens a robot file again.
         page.click("Cancel")
-        page.click("Back to the text")
-        page.wait(
-            "!document.querySelector('.q-dialog') && !!document.querySelector('.studio-files').offsetParent"
+        page.click(
+            "Back to the text",
+            then="!document.querySelector('.q-dialog') && !!document.querySelector('.studio-files').offsetParent",
         )
         _click(page, "document.querySelector('.studio-files')")
         page.click("buggy.urdf (robot file)", ".q-item")
         page.wait("!!document.querySelector('.studio-dialog .cm-line')")
-        page.click("Use this text")
-        page.wait("document.querySelector('.studio-notices').innerText.includes('saved buggy.urdf')")
+        page.click(
+            "Use this text",
+            then="document.querySelector('.studio-notices').innerText.includes('saved buggy.urdf')",
+        )
         assert not page.tab.errors
 
 
@@ -602,12 +602,10 @@ def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):
     with served(folder, "mine.yaml") as studio:
         page = StudioTab(new_tab(), studio.address, 1280, 800)
         start = "!!document.querySelector('.studio-start').offsetParent"
-        page.click("New ...")
-        page.wait("document.activeElement.innerText == 'Back to the text'")
+        page.click("New ...", then="document.activeElement.innerText == 'Back to the text'")
         page.press(ESCAPE)
         page.wait(f"!({start}) && !!document.querySelector('.cm-editor').offsetParent")
-        page.click("New ...")
-        page.wait(start)
+        page.click("New ...", then=start)
         page.tab.run("document.querySelector('.studio-choice').click()")
         field = "document.querySelector('.studio-dialog input[aria-label=Name]')"
         page.wait(f"document.activeElement == {field}")
@@ -618,8 +616,7 @@ def test_a_further_scenario_is_chosen_by_its_picture(folder, new_tab):
         page.wait(f"{message} == 'a file of this name exists already; choose another name'")
         page.tab.run(f"{field}.focus()")
         page.press(("End", 35))
-        page.type("s")
-        page.wait(f"!({message})")
+        page.type("s", then=f"!({message})")
         page.press(ENTER)
         page.wait(
             "document.querySelector('.studio-files input')?.value == 'mines.yaml'"
@@ -642,8 +639,7 @@ def test_the_word_at_the_cursor_is_explained_with_its_places(folder, new_tab):
         page.tab.run(f"[...{answer}.querySelectorAll('a')].find(one => one.innerText == 'line 4').click()")
         page.wait("!document.querySelector('.studio-dialog')")
         page.wait("document.querySelector('.cm-activeLine').innerText.startsWith('  fall_angle:')")
-        page.click("Explain ...")
-        page.wait(f"{answer} != null")
+        page.click("Explain ...", then=f"{answer} != null")
         page.tab.run("document.querySelector('.studio-dialog input').select()")
         page.type("pole length")
         page.press(ENTER)
