@@ -127,13 +127,15 @@ class Line:
 
 
 class World:
-    """A server on a line."""
+    """A server on a line, on which messages are put."""
 
-    def __init__(self, *, output: Output | None = None, **settings: Any) -> None:
+    def __init__(self, *messages: tuple[float, ...], output: Output | None = None, **settings: Any) -> None:
         free = np.full(2, np.inf)
         self.events: list[tuple[str, str]] = []
         self.logged: list[tuple[str, float]] = []
         self.line = Line()
+        for message in messages:
+            self.line.put(*message)
         self.policy = Doubles()
         output = output or Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), free, np.array(SAFE))
         self.server = Server(
@@ -186,8 +188,7 @@ def test_uneven_messages_are_used_once_each() -> None:
 
 
 def test_a_silent_robot_costs_a_wait_for_each_period() -> None:
-    world = World()
-    world.line.put(100.0, 0.1)
+    world = World((100.0, 0.1))
     world.run(101.0)
     before = world.line.waits
     assert len(world.run(103.0)) == pytest.approx(2 * RATE, abs=2)
@@ -195,8 +196,7 @@ def test_a_silent_robot_costs_a_wait_for_each_period() -> None:
 
 
 def test_a_missing_value_is_bridged_and_silence_ends_in_the_safe_posture_within_one_period() -> None:
-    world = World()
-    world.line.put(100.0, 0.1)
+    world = World((100.0, 0.1))
     answers = world.run(101.0)
     acted = [at for at, command in answers if command != SAFE]
     safe = [at for at, command in answers if command == SAFE]
@@ -238,11 +238,7 @@ def test_a_wrong_message_is_answered_with_the_safe_posture(name: str, value: lis
 
 @pytest.mark.parametrize(("stamp", "kind"), [(100.02, "twice"), (100.01, "out of order")])
 def test_what_a_network_does_to_messages_is_ignored(stamp: float, kind: str) -> None:
-    world = World()
-    world.line.put(100.0, 0.1)
-    world.line.put(100.02, 0.2)
-    world.line.put(100.03, 0.9, stamp)
-    world.line.put(100.04, 0.3)
+    world = World((100.0, 0.1), (100.02, 0.2), (100.03, 0.9, stamp), (100.04, 0.3))
     world.run(100.045)
     assert (world.policy.seen, world.server.report()["refused"][kind]["count"]) == ([0.1, 0.2, 0.3], 2)
     assert not world.server.safe_steps
@@ -250,9 +246,7 @@ def test_what_a_network_does_to_messages_is_ignored(stamp: float, kind: str) -> 
 
 @pytest.mark.parametrize("jump", [-50.0, 3.0])
 def test_a_clock_that_jumps_is_a_fault_until_the_robot_was_silent(jump: float) -> None:
-    world = World()
-    world.line.put(100.0, 0.1)
-    world.line.put(100.02, 0.2, 100.02 + jump)
+    world = World((100.0, 0.1), (100.02, 0.2, 100.02 + jump))
     assert world.run(100.03)[-1][1] == SAFE
     assert "jumped" in world.server.report()["refused"]["clock"]["first"]
     world.line.put(101.5, 0.3, 101.5 + jump)
@@ -297,14 +291,12 @@ def test_a_policy_that_computes_no_number_is_not_obeyed() -> None:
 
 def test_the_safe_posture_holds_what_has_no_safe_value() -> None:
     output = Output(DRIVE, np.full(2, -5.0), np.full(2, 5.0), np.full(2, np.inf), np.array([np.nan, 0.0]))
-    world = World(output=output)
-    world.line.put(100.0, 0.3)
+    world = World((100.0, 0.3), output=output)
     assert world.run(100.5)[-1][1] == [3.0, 0.0]
 
 
 def test_an_episode_begins_with_a_new_memory_and_without_old_values() -> None:
-    world = World(lockstep=True)
-    world.line.put(100.0, 0.1)
+    world = World((100.0, 0.1), lockstep=True)
     world.run(100.01)
     world.line.coming.append((100.1, Arrival("e", stamp=100.1, kind="reset", number=1)))
     world.line.put(100.1, 0.9, 100.05)  # from before
@@ -314,8 +306,7 @@ def test_an_episode_begins_with_a_new_memory_and_without_old_values() -> None:
 
 
 def test_a_robot_that_is_silent_after_a_reset_gets_the_safe_posture() -> None:
-    world = World()
-    world.line.put(100.0, 0.3)
+    world = World((100.0, 0.3))
     world.run(100.01)
     world.line.coming.append((100.02, Arrival("e", stamp=100.02, kind="reset", number=1)))
     answers = world.run(101.5)
@@ -828,8 +819,7 @@ def test_resets_do_not_make_commands_change_faster() -> None:
 
 
 def test_a_step_in_the_same_tick_of_the_clock_as_the_last_one_commands_a_number() -> None:
-    world = World()
-    world.line.put(100.0, 0.3)
+    world = World((100.0, 0.3))
     world.line.now = 100.0
     world.server.turn()
     world.line.coming.append((100.0, Arrival("robot", kind="reset", stamp=100.0, number=1)))
