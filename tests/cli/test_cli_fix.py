@@ -395,8 +395,7 @@ def test_a_file_is_put_into_the_canonical_layout(deepbots, tmp_path):
 def test_a_difference_in_a_pipe_is_a_patch_whatever_the_line_ends(deepbots, tmp_path, verb, name, tail):
     before = f"\ufeffdeepbots: 1\r\nreward:  {{}}\r\nworld: {{timestop: 32 ms}}{tail}".encode()
     (tmp_path / name).write_bytes(before)
-    ran = deepbots(*verb, name, code=None)
-    (tmp_path / "change.patch").write_text(ran.out, encoding="utf-8", newline="")
+    (tmp_path / "change.patch").write_text(deepbots(*verb, name, code=None).out, encoding="utf-8", newline="")
     assert deepbots(
         *(word if word != "--diff" else "--fix" for word in verb if verb[0] == "lint" or word != "--diff"),
         name,

@@ -474,8 +474,7 @@ def test_the_summary_stays_text_in_the_code(text: str) -> None:
     code = generate_module(replace(cartpole, summary=text))
     plain = generate_module(cartpole)
     assert len(code.splitlines()) == len(plain.splitlines())
-    names = compile(code, "generated", "exec").co_names
-    assert names == compile(plain, "generated", "exec").co_names
+    assert compile(code, "generated", "exec").co_names == compile(plain, "generated", "exec").co_names
 
 
 def digest_of(workshop, text: str) -> str:
@@ -665,8 +664,7 @@ def test_a_test_of_a_case_may_be_longer_than_the_scenario_and_end_in_its_own_way
     cases = "long: {set: {truncation.max_steps: 400, termination.success: {won: step >= 300}}}"
     script = "scripts: {hold: {drive: {forward: cart.pole_angle > 0 rad, backward: true}}}"
     test = "{driver: hold, case: long, expect: {success_rate: 100 %, ends_by: won, eventually: step >= 250}}"
-    text = cartpole(with_cases(cases), ("tests:", f"{script}\ntests:\n  one: {test}"))
-    assert workshop.codes(text) == []
+    assert workshop.codes(cartpole(with_cases(cases), ("tests:", f"{script}\ntests:\n  one: {test}"))) == []
     one, *_ = api.load(workshop.file, tests=True).tests
     assert (one.name, one.case, one.steps) == ("one", "long", 400)
 
@@ -1125,8 +1123,7 @@ def test_a_scenario_without_success_cannot_go_up_by_it() -> None:
 
 
 def test_the_levels_of_one_component_lie_in_its_own_range() -> None:
-    overrides = f"{SPOT}{{spot.y: -1 .. 1 m}}".split(";")
-    assert check(load(SCENARIO, overrides=overrides)).findings.errors == []
+    assert check(load(SCENARIO, overrides=f"{SPOT}{{spot.y: -1 .. 1 m}}".split(";"))).findings.errors == []
 
 
 def test_levels_have_the_choices_themselves() -> None:

@@ -754,8 +754,7 @@ def test_a_lesson_that_is_none_is_refused_with_its_mistake(tmp_path: Path) -> No
             "has no checks/a.yaml",
         ),
     ):
-        content = {**yaml.safe_load(LESSON), **change}
-        (tmp_path / "lesson.yaml").write_text(json.dumps(content))
+        (tmp_path / "lesson.yaml").write_text(json.dumps({**yaml.safe_load(LESSON), **change}))
         with pytest.raises(UsageError) as error:
             read_lesson(tmp_path)
         assert reason in str(error.value)

@@ -358,8 +358,7 @@ def test_a_missing_file_a_folder_and_a_pipe_are_wrong_usage(tmp_path: Path) -> N
 def test_a_file_that_is_not_a_scenario_gets_one_finding_at_the_place(
     tmp_path: Path, content: bytes, code: str, where: tuple[int, int]
 ) -> None:
-    path = written(tmp_path / "a.yaml", content)
-    document = load(path, display="a.yaml")
+    document = load(written(tmp_path / "a.yaml", content), display="a.yaml")
     assert document.root is None
     assert [(f.code, f.span.start_position, f.span.source.name) for f in document.findings] == [
         (code, where, "a.yaml")
@@ -367,8 +366,7 @@ def test_a_file_that_is_not_a_scenario_gets_one_finding_at_the_place(
 
 
 def test_a_byte_order_mark_and_windows_line_ends_are_read(tmp_path: Path) -> None:
-    path = written(tmp_path / "a.yaml", "\ufeffa: 1\r\nb:\r\n  c: 2\r\n".encode())
-    document = load(path)
+    document = load(written(tmp_path / "a.yaml", "\ufeffa: 1\r\nb:\r\n  c: 2\r\n".encode()))
     assert data(document) == {"a": 1, "b": {"c": 2}}
     assert document.root is not None
     assert document.root.entries["b"].value.span.start_position == (3, 3)
@@ -389,8 +387,7 @@ def test_paths_are_relative_to_the_file_that_wrote_them(tmp_path: Path) -> None:
 
 
 def test_a_finding_in_an_included_file_has_the_chain_of_inclusions(tmp_path: Path) -> None:
-    path = write(tmp_path, main="r:\n  include: part.yaml\n", part="a: 1\na: 2\n")
-    (finding,) = load(path).findings
+    (finding,) = load(write(tmp_path, main="r:\n  include: part.yaml\n", part="a: 1\na: 2\n")).findings
     included_from = finding.span.source.included_from
     assert finding.span.source.name.endswith("part.yaml")
     assert included_from is not None

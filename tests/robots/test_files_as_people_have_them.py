@@ -325,8 +325,7 @@ def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_
     assert finding["fix"]["edits"]
     assert deepbots("lint", "robot.urdf", "--diff", "--unsafe-fixes", code=1).out.startswith("--- robot.urdf")
     assert path.read_text() == text
-    ran = deepbots("lint", "robot.urdf", "--fix", "--unsafe-fixes")
-    assert ran.out == "robot.urdf: no findings\n"
+    assert deepbots("lint", "robot.urdf", "--fix", "--unsafe-fixes").out == "robot.urdf: no findings\n"
 
 
 NEGATIVE = robot(*ARM).replace('velocity="5"', 'velocity="-1"')
@@ -387,8 +386,7 @@ def test_new_for_a_robot_without_masses_gives_the_links_a_density(deepbots: Deep
 
 def test_a_density_is_not_offered_to_a_link_without_a_shape(tmp_path: Path):
     for inside, is_offered in (("", False), (BOX, True)):
-        text = robot(link("base"), link("leg", inside), joint("hip", "base", "leg"))
-        _, findings = opened(tmp_path, text)
+        _, findings = opened(tmp_path, robot(link("base"), link("leg", inside), joint("hip", "base", "leg")))
         (finding,) = (finding for finding in findings if finding.code == "DB305")
         assert ("density" in str(finding.help)) is is_offered
 

@@ -355,8 +355,7 @@ def test_a_joint_still_follows_one_that_follows_an_unknown_joint(read_text):
 )
 def test_a_bad_mimic_is_one_error_at_its_place(read_text, mimic, headline, place):
     bolt = '<link name="end"/><joint name="bolt" type="fixed"><parent link="hand"/><child link="end"/></joint></robot>'
-    text = follower(mimic, 'lower="-0.1" upper="0.1"').replace("</robot>", bolt)
-    robot, findings = read_text(text)
+    robot, findings = read_text(follower(mimic, 'lower="-0.1" upper="0.1"').replace("</robot>", bolt))
     finding = single(findings)
     assert (robot, finding.code, finding.headline, finding.span.text) == (None, "DB301", headline, place)
 
