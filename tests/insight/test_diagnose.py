@@ -635,8 +635,7 @@ def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes
 ):
     monkeypatch.chdir(tmp_path)
     _trained(tmp_path, "longer", EASY, "--timesteps", "512", "--full")
-    run = _trained(tmp_path, "missed", HARD, "--set", "train.total_timesteps=512")
-    causes = _causes(run, capsys)
+    causes = _causes(_trained(tmp_path, "missed", HARD, "--set", "train.total_timesteps=512"), capsys)
     assert [cause["cause"] for cause in causes][:2] == ["too_few_steps", "changed_since_solved"]
     assert causes[0]["text"].startswith(
         f"The training is shorter than {Path('runs/longer')}, which made 512 steps and was solved"

@@ -416,8 +416,7 @@ def test_a_cause_after_the_first_hundred_steps_is_found_and_judged_by_its_effect
     tmp_path: Path, deepbots: Deepbots
 ) -> None:
     """`x 8` makes it leave too early."""
-    words = patient(tmp_path)
-    output = deepbots(*words, "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}").out
+    output = deepbots(*patient(tmp_path), "robots.shuttle.apply={motor: 8 * (go + 0 * drive * speed)}").out
     assert "4 of 4 episodes end in another way in other; before this, in steps 72 to 121" in output
     assert re.search(r"share of steps with abs\(shuttle.place\) < 0.1 m +1.00 +0.76", output)
     assert "training with command of shuttle.motor x 8: 0.0%, 100.0% of the difference" in output

@@ -736,8 +736,7 @@ def test_an_update_has_each_sample_and_its_mirror_image() -> None:
 
 @pytest.mark.slow
 def test_a_training_with_mirror_images_continues_to_the_bit(tmp_path: Path) -> None:
-    path = written(tmp_path / "cart.yaml", CART_SYMMETRY)
-    becomes_the_same(path, tmp_path, 200, engine="pybullet")
+    becomes_the_same(written(tmp_path / "cart.yaml", CART_SYMMETRY), tmp_path, 200, engine="pybullet")
 
 
 def test_the_previous_action_has_the_sign_of_the_action(tmp_path: Path) -> None:

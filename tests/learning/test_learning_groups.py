@@ -77,8 +77,7 @@ def trained_group(tmp_path_factory: pytest.TempPathFactory) -> GroupTraining:
 
 def test_the_scenario_of_a_group_is_opened_like_that_of_its_runs(trained_group: GroupTraining) -> None:
     group = open_source(str(trained_group.group), (), Permissions())
-    run = open_source(str(trained_group.group / "seed-0"), (), Permissions())
-    assert scenario_changes(group, run) == []
+    assert scenario_changes(group, open_source(str(trained_group.group / "seed-0"), (), Permissions())) == []
     with pytest.raises(UsageError, match="is a group, which cannot be changed after the training"):
         open_source(str(trained_group.group), ("track=1 m",), Permissions())
 
@@ -679,8 +678,7 @@ def test_what_two_rewards_measure_differently_is_left_out_in_one_world(climb: Pa
 
 def test_returns_in_a_named_scenario_are_of_its_reward_and_are_compared(climb: Path, tmp_path: Path) -> None:
     other = trained(tmp_path / "other", reward="{alive: 2, center: 0}")
-    scenario = Run.open(climb).compiled
-    comparison = compare([climb, other], episodes=2, scenario=scenario, build=stand_in.build)
+    comparison = compare([climb, other], episodes=2, scenario=Run.open(climb).compiled, build=stand_in.build)
     (difference,) = comparison.differences
     assert difference.mean_return is not None
     assert difference.solved_after is None

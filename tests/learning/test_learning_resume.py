@@ -571,8 +571,7 @@ def test_of_a_signal_the_parts_are_named_that_are_not_observed() -> None:
         "signals.turned=tilt / rad + 1",
         "scripts.turn.roll={forward: turned > 1, backward: true}",
     ]
-    compiled = api.compile("pit_escape", overrides=changes)
-    assert unobserved_reads(compiled.program, "turn") == ["yaw(roller)"]
+    assert unobserved_reads(api.compile("pit_escape", overrides=changes).program, "turn") == ["yaw(roller)"]
 
 
 @pytest.mark.parametrize(

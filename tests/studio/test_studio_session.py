@@ -844,8 +844,7 @@ async def test_a_word_has_a_meaning_and_the_place_of_its_definition(folder, line
 @pytest.mark.parametrize("phrase", ["pole length", "pole_angle"])
 async def test_a_phrase_finds_names_of_the_text(folder, phrase):
     async with Running(folder) as (_, session):
-        names = session.language.names_like(session.open(Path("mine.yaml")), phrase)
-        assert names[0] == ("pole_angle", 9)
+        assert session.language.names_like(session.open(Path("mine.yaml")), phrase)[0] == ("pole_angle", 9)
 
 
 @pytest.mark.parametrize(
