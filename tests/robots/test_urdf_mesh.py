@@ -775,8 +775,8 @@ def test_a_file_of_trimesh_gives_its_triangles(tmp_path: Path, suffix: str):
 
 def test_a_mesh_that_is_missing_for_a_while_is_read_once_it_is_there(tmp_path: Path):
     trimesh.creation.box((1, 2, 3)).export(tmp_path / "m.stl")
-    mesh, _ = with_mesh(tmp_path, "m.stl")
-    assert mesh is not None
+    robot, _ = robot_with(tmp_path, "m.stl", "1 1 1")
+    mesh = robot.model.links[0].visuals[0].shape
     moved = (tmp_path / "m.stl").rename(tmp_path / "moved.stl")
     assert (mesh_bounds(mesh), mesh_vertices(mesh), mesh_reach(mesh, (1, 0, 0))) == (None, (), 0)
     moved.rename(tmp_path / "m.stl")

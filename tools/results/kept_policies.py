@@ -16,8 +16,7 @@ import torch
 
 from deepbots_cli import api
 from deepbots_cli.learning import evaluate, train
-from deepbots_cli.learning.evaluation import kept_models
-from deepbots_cli.learning.runs.run import ModelRef, Run
+from deepbots_cli.learning.runs.run import ModelRef, Run, has_model, steps_of
 from deepbots_cli.learning.runs.statistics import wilson
 
 SCENARIO = Path(__file__).with_name("stair.yaml")
@@ -31,8 +30,11 @@ REWARDS = {
 
 def success_rates(run: Run) -> dict[int, float]:
     """The success rates of all models of a run on the same starts, by their steps."""
-    rates = {}
-    for steps, name in kept_models(run).items():
+    rates: dict[int, float] = {}
+    for path in sorted(run.model("best").parent.glob("*.zip")):
+        name, steps = path.stem, steps_of(path)
+        if steps in rates or not has_model(run.path, name):
+            continue  # two models with the same steps are the same model
         result = evaluate(ModelRef(run, name, is_named=True), episodes=EPISODES, seed=SEED)
         assert result.success_rate is not None
         rates[steps] = result.success_rate
