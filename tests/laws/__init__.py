@@ -12,6 +12,7 @@ episodes.py     laws of episodes
 writing.py      laws of writing
 variants.py     laws of changed conditions and of tests of a case
 claims.py       laws of what the analysis and lint state
+parts.py        laws of values against a second implementation of their expressions
 records.py      laws of what trainings and evaluations record, and of what is exported
 readings.py     a world that shows all that sensors and functions read
 frames.py       laws of turned and mirrored worlds
@@ -20,7 +21,18 @@ shapes.py       rays and points against shapes, in closed form
 sensors.py      laws of sensors and functions against a second implementation
 """
 
-from tests.laws import claims, episodes, frames, records, sensors, two_engines, variants, writing
+from tests.laws import claims, episodes, frames, parts, records, sensors, two_engines, variants, writing
 from tests.laws.law import LAWS
 
-__all__ = ["LAWS", "claims", "episodes", "frames", "records", "sensors", "two_engines", "variants", "writing"]
+__all__ = [
+    "LAWS",
+    "claims",
+    "episodes",
+    "frames",
+    "parts",
+    "records",
+    "sensors",
+    "two_engines",
+    "variants",
+    "writing",
+]

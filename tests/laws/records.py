@@ -99,7 +99,9 @@ def with_training(case: Case) -> api.Compiled:
         "n_epochs": 1,
         "network": {"hidden": [4]},
     }
-    data["evaluation"] = {"episodes": pick(case.draw, (2, 3))}
+    other = {"set": {"reward.extra": pick(case.draw, ("-1000", "1000"))}, "episodes": 1}
+    data["evaluation"] = {"episodes": pick(case.draw, (2, 3)), "cases": {"other": other}}
+    data["agent"] = {"action_repeat": case.draw(st.integers(1, 3))}
     if chance(case.draw, 60):
         count = pick(case.draw, (2, 3, 5))
         limit = pick(case.draw, (0, -100, 1, 1000))
@@ -198,12 +200,15 @@ def require_agreement(program: Program, worlds: Worlds, run: Path) -> None:
     recent = newest(own, program.agent.solved.episodes if program.agent.solved else WINDOW)
     record = record_of(run)
     assert record["episodes"] == len(rows)
+    hours = record["steps"] * program.world.timestep * program.action_repeat / 3600
+    close(record["simulated_hours"], hours, "simulated time")
     if recent:
         close(record["mean_return"], fmean(episode.total for episode in recent), "record")
         if program.defines_success:
             close(record["success_rate"], fmean(episode.is_success for episode in recent), "record")
     listed = printed("runs", ".")[0]
     assert (listed["steps"], listed["episodes"]) == (record["steps"], len(rows))
+    assert listed["solved"] is None or listed["score"] == "evaluation", listed
     if listed["score"] == "training" and recent:
         close(listed["mean_return"], record["mean_return"], "runs")
     if listed["score"] == "evaluation":
@@ -267,6 +272,8 @@ def an_evaluation_has_the_numbers_of_its_episodes(case: Case) -> None:
             seed = pick(case.draw, (0, 5))
             expected = {name: episodes_of(compiled, name, seed) for name in ("run", "other")}
         results = [printed("eval", "run", "--episodes", "3", "--seed", str(seed))]
+        require_verdict(compiled.program, results[0], printed("runs", "."))
+        require_case(compiled.program, printed("eval", "run", "--case", "other", "--seed", str(seed)), seed)
         compared = printed("compare", "run", "other", "--episodes", "3", "--seed", str(seed))
         names = ["run"]
         for group in compared["groups"]:
@@ -287,11 +294,40 @@ def an_evaluation_has_the_numbers_of_its_episodes(case: Case) -> None:
             close(sum(result["term_means"].values()), result["mean_return"], name)
 
 
-def episodes_of(compiled: api.Compiled, run: str, seed: int, count: int = 3) -> list[Played]:
+def require_verdict(program: Program, result: Any, runs: Any) -> None:
+    """Require a criterion to be met by no fewer episodes than it says, and by their mean; whether they are
+    enough to be sure of it is another question. The list has the same answer."""
+    criterion = program.agent.solved
+    returns = [one["total_return"] for one in result["outcomes"]]
+    if criterion is None or len(returns) < criterion.episodes:
+        assert result["solved"] is None, result["verdict"]
+    elif fmean(returns) < criterion.mean_return:
+        assert result["solved"] is False, result["verdict"]
+    listed = next(run for run in runs if run["name"] == "run")
+    is_confirmed = listed["stopped_as_solved"]  # the list then has the confirmation
+    assert listed["solved"] == (is_confirmed or result["solved"]), listed
+    assert is_confirmed or listed["evaluated_episodes"] == len(returns), listed
+
+
+def require_case(program: Program, result: Any, seed: int) -> None:
+    """Require an evaluation in a case to have its own number of episodes, its rewards and its bounds."""
+    case = program.cases[0]
+    episodes = episodes_of(case.program, "run", seed, case.episodes)
+    returns = [one["total_return"] for one in result["outcomes"]]
+    assert len(returns) == len(episodes) == result["episodes"], result
+    low, high = result["return_bounds"]
+    for total, episode in zip(returns, episodes, strict=True):
+        close(total, episode.total, "case")
+        slack = 1e-6 * max(1.0, abs(total))
+        assert low is None or low - slack <= total, result
+        assert high is None or total <= high + slack, result
+
+
+def episodes_of(source: Any, run: str, seed: int, count: int = 3) -> list[Played]:
     """Play episodes of an evaluation with the policy of a run, step by step."""
     policy = load_policy(run)
     episodes = []
-    with closing(api.make(compiled)) as world:
+    with closing(api.make(source)) as world:
         for number in range(count):
             observation, _ = world.reset(seed=Start.of_evaluation(seed, number).seed)
             rewards: list[float] = []
