@@ -11,6 +11,7 @@ from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import fold_operation
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Scalar, State, names_in, walk
+from deepbots_cli.expressions.types import QUATERNION
 from deepbots_cli.program.values import Expression, NamedScalars
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.model import Pose
@@ -123,9 +124,10 @@ class Sensor:
 
     @property
     def is_direct(self) -> bool:
-        """Whether a reading is the value of a world function, which is read from the engine without a
-        device."""
-        return self.world_function is not None and self.faults is None and self.mount == Pose()
+        """Whether a reading is the value of a world function, which is read from the engine without a device.
+        A quaternion is not: the world function has either sign."""
+        is_exact = self.faults is None and self.mount == Pose()
+        return self.world_function is not None and is_exact and self.components != QUATERNION
 
     def world_value(self, robot: str, component: str | None) -> EngineRead:
         """Return the call of the world function that gives one component of such a sensor."""
