@@ -70,11 +70,11 @@ _NUMBER = re.compile(r"(?<![\w.^])[-+]?(?:\d[\d_]*\.?\d*|\.\d+)(?:[eE][-+]?\d+)?
 
 def numbers_of(text: str, count: int, unit: str) -> list[float]:
     """Return the first numbers of a text, which has this unit such as `cm/s^2`, in SI units."""
-    found = list(_NUMBER.finditer(text))[:count]
-    factor = (-1.0) ** text[: found[0].start()].count("-")
+    numbers = list(_NUMBER.finditer(text))[:count]
+    factor = (-1.0) ** text[: numbers[0].start()].count("-")
     for sign, name, power in re.findall(r"([*/]?)([a-zA-Z%]+)(?:\^(-?\d+))?", unit.replace(" ", "")):
         factor *= _UNITS[name] ** (int(power or 1) * (-1 if sign == "/" else 1))
-    return [float(number[0].replace("_", "")) * factor for number in found]
+    return [float(number[0].replace("_", "")) * factor for number in numbers]
 
 
 # Functions

@@ -260,7 +260,7 @@ def ended_shares(scalars: dict[str, dict[int, float]]) -> dict[int, list[float]]
     return shares
 
 
-@law(cost=1800, profile=SMALL)
+@law(cost=2400, profile=SMALL)
 def an_evaluation_has_the_numbers_of_its_episodes(case: Case) -> None:
     """`eval` and `compare` play the episodes of their seed with the policy, and print what these add up
     to."""
