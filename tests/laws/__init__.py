@@ -10,6 +10,7 @@ reduce.py       makes the scenario of a failure smaller
 found.yaml      scenarios that once broke a law
 episodes.py     laws of episodes
 writing.py      laws of writing
+parameters.py   laws of drawn values, overrides and devices
 variants.py     laws of changed conditions and of tests of a case
 claims.py       laws of what the analysis and lint state
 parts.py        laws of values against a second implementation of their expressions
@@ -21,7 +22,18 @@ shapes.py       rays and points against shapes, in closed form
 sensors.py      laws of sensors and functions against a second implementation
 """
 
-from tests.laws import claims, episodes, frames, parts, records, sensors, two_engines, variants, writing
+from tests.laws import (
+    claims,
+    episodes,
+    frames,
+    parameters,
+    parts,
+    records,
+    sensors,
+    two_engines,
+    variants,
+    writing,
+)
 from tests.laws.law import LAWS
 
 __all__ = [
@@ -29,6 +41,7 @@ __all__ = [
     "claims",
     "episodes",
     "frames",
+    "parameters",
     "parts",
     "records",
     "sensors",

@@ -23,20 +23,12 @@ from deepbots_cli.program import generated
 from deepbots_cli.runtime import Supervisor
 from tests.laws.expressions import chance
 from tests.laws.law import Case, law, reference, same
-from tests.laws.readings import start_of
-from tests.laws.scenarios import ALONE, PLAIN, Profile
+from tests.laws.scenarios import ALONE, Profile
 
 STEPS = 12
 SEEDS = (7, 8, 9)
 ROUNDED = ("contact_force_vector", "angular_momentum", "reaction_force", "reaction_torque")
 """Readings of a batch that are equal but for the last digits."""
-DRAWN_PARAMETERS = (
-    ("actuators", "strength", "0.3 .. 0.9", 0.5, 0.5),
-    ("actuators", "delay", "0 .. 40 ms", "20 ms", 0.02),
-    ("actuators", "time_constant", "0 .. 40 ms", "20 ms", 0.02),
-    ("sensors", "latency", "0 .. 40 ms", "20 ms", 0.02),
-)
-"""Parameters of devices: section, key, range, a value within it as written and in SI units."""
 
 
 def actions(environment: Any, seed: int) -> Iterator[Any]:
@@ -95,37 +87,6 @@ def a_start_is_set_by_its_draws(case: Case) -> None:
         with reference():
             assert environment.reset(seed=5, options=drawn)[1]["drawn"] == drawn
         same(played(environment, 3, options=drawn), expected)
-
-
-@law(cost=300, profile=PLAIN)
-def a_drawn_parameter_is_that_parameter(case: Case) -> None:
-    """Where a reset sets what a device's parameter draws, the episode is that of a scenario with this value,
-    also after episodes with other values."""
-    section, key, interval, text, value = case.draw(st.sampled_from(DRAWN_PARAMETERS))
-    data = copy.deepcopy(case.drawn.data)
-    devices = [
-        (device, f"robots.{robot}.{section}.{name}.{key}")
-        for robot, parts in data["robots"].items()
-        for name, device in parts.get(section, {}).items()
-        if isinstance(device, dict)
-    ]
-    device, place = case.draw(st.sampled_from(devices)) if devices else reject()
-    try:
-        device[key] = text
-        fixed = case.compile(case.write(data, "fixed.yaml"))
-        device[key] = f"uniform({interval})"
-        random = case.compile(case.write(data, "random.yaml"))
-    except ScenarioError:
-        reject()
-    with case.environment(fixed) as environment, reference():
-        episodes = [(played(environment, seed), start_of(environment)) for seed in (3, 4)]
-    with case.environment(random) as environment, reference():
-        _, drawn, *_ = played(environment, 5)
-        options = {name: value for name in drawn if place in name}
-        for seed, (expected, end) in zip((3, 4), episodes, strict=True):
-            observation, _, *steps = played(environment, seed, options=options)
-            same([observation, *steps], [expected[0], *expected[2:]])
-            assert start_of(environment) == end
 
 
 @law(cost=110)
@@ -275,9 +236,12 @@ def what_adds_nothing_changes_nothing(case: Case) -> None:
 @law(cost=120, profile=replace(ALONE, agents=1))
 def a_name_has_the_value_of_its_definition(case: Case) -> None:
     """A name stands for its definition, so both have one value in every step; each draw is another one."""
-    compiled = case.compile()
+    case.compile()
     data = copy.deepcopy(case.drawn.data)
-    program = compiled.program
+    again = case.draw(st.sampled_from(("each step", "every 0.1 s")))
+    redrawn = {"lasting": f"uniform(1 .. 2) {again}", "double": "lasting * 2", "both": "double + lasting"}
+    data["parameters"] = data.get("parameters", {}) | redrawn
+    program = case.compile(case.write(data, "redrawn.yaml")).program
     types = {value.name: value.typed.type for value in (*program.parameters, *program.signals)}
     signals = data.setdefault("signals", {})
     names: list[str] = []
