@@ -108,14 +108,14 @@ MADE = ("ground", "pose", "links", "joints")
 
 def sections_of(case: Case, data: dict[str, Any], pattern: str) -> list[tuple[str, dict[str, Any]]]:
     """Return the sections that a pattern means, with their paths: of the links or joints of a robot, one."""
-    found: list[tuple[str, Any]] = [("", data)]
+    sections: list[tuple[str, Any]] = [("", data)]
     for key in pattern.split("."):
-        found = [
+        sections = [
             (f"{path}.{name}".lstrip("."), section.setdefault(name, {}))
-            for path, section in found
+            for path, section in sections
             for name in _names(case, data, path, section, key)
         ]
-    return found
+    return sections
 
 
 def _names(case: Case, data: dict[str, Any], path: str, section: Any, key: str) -> list[str]:
@@ -678,5 +678,5 @@ def rotors_push_and_turn_a_robot(case: Case) -> None:
         turns += np.cross(frame[:3, 3] - center, force) + spin * constant / 1000 * force
     momentum = masses @ np.array(speeds)
     turning = COMPUTED["angular_momentum"](after, Call("angular_momentum", ("one",), ""))
-    for given, impulse, scale in ((momentum, pushes, thrust), (turning, turns, thrust * SMALL_LEVER)):
-        assert np.linalg.norm(given - impulse) <= 1e-4 * (scale + np.linalg.norm(impulse)), (given, impulse)
+    for gained, impulse, scale in ((momentum, pushes, thrust), (turning, turns, thrust * SMALL_LEVER)):
+        assert np.linalg.norm(gained - impulse) <= 1e-4 * (scale + np.linalg.norm(impulse)), (gained, impulse)
