@@ -366,7 +366,8 @@ def goal_of(agent: Agent, moment: Moment) -> dict[str, Any]:
     if goal is None:
         return {}
     low, high = np.array(goal.low), np.array(goal.high)
-    ways = [low + (high - low) * (moment.observation[f"{name}_goal"] + 1.0) / 2 for name in GOAL[:2]]
+    shown = [np.asarray(moment.observation[f"{name}_goal"], float) for name in GOAL[:2]]
+    ways = [low + (high - low) * (part + 1.0) / 2 for part in shown]
     more = np.linalg.norm(ways[0] - ways[1]) - goal.tolerance
     return dict(zip(GOAL, [*map(list, ways), [more <= 0] if abs(more) > _CLOSE else None], strict=True))
 
