@@ -556,6 +556,7 @@ AXES = {"orientation": "xyzw"} | dict.fromkeys(
 def components_have_the_names_of_the_text(case: Case) -> None:
     """A sensor of a list of joints or links has a value of each, by its name, also of a single one; a sensor
     of a joint or a link has one value, and a vector those of its axes."""
+    case.compile()
     data, sources = shown_world(case)
     parts: dict[str, tuple[str, int]] = {}
     for name, source in sources.items():

@@ -468,6 +468,7 @@ def a_sensor_with_options_is_the_plain_one_changed(case: Case) -> None:
     """The options of a sensor say what becomes of a true value, and when: it is measured in each period, has
     errors, is clipped and rounded, and is there after the latency. So its readings follow from those of the
     same sensor without options. A sensor of a list of joints or links has a component for each."""
+    case.compile()
     data, sources = readings.shown_world(case, [*(FUNCTIONS.keys() - SENSORS.keys())])
     program = case.compile(case.write(data, "plain.yaml")).program
     sensors = {(robot.name, sensor.name): sensor for robot in program.robots for sensor in robot.sensors}
