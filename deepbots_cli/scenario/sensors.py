@@ -81,7 +81,7 @@ class Sensor(Section):
     """The function of the language, such as `joint_position`, with the same value as a sensor without faults
     at the origin of its link.
 
-    Such a sensor is compiled to this function, and needs no `reader` in a running world.
+    Such a sensor is compiled to this function; with faults or a pose, its `reader` reads it.
     """
     perceives: ClassVar[bool] = False
     """Whether a reading depends on the bodies around the robot."""
