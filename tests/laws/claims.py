@@ -182,10 +182,12 @@ def moments(world: Supervisor, probes: Sequence[Probe], seed: int, steps: int = 
 
 def unsafe_parts(program: Program) -> list[str]:
     """Return the parts of expressions that, by the intervals of their types, may have no value."""
+    members = program.others.world.members if program.others else program.members
+    programs = [program, *(member.program for member in members.values())]
     return [
         expression.text[node.start : node.end]
         for expression in (
-            *program.computed_expressions,
+            *(value for one in programs for value in one.computed_expressions),
             *(value for robot in program.robots for value in (*robot.emit, *robot.receive)),
             *(command.target for robot in program.robots for command in robot.commands),
         )
