@@ -137,7 +137,7 @@ def _blanks(gap: str, before: Token, behind: Token, columns: _Columns) -> str:
 def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
     """Return the text between two tokens of different lines: a comment behind the first, blank lines,
     comments, the indentation."""
-    head, *rest = gap.replace("\t", " ").split("\n")
+    head, *rest = re.sub(rf"({_COMMENT})|\t", lambda match: match[1] or " ", gap).split("\n")
     # A file may end behind a comment, without a line break.
     inner, indentation = [line.rstrip() for line in rest[:-1]], rest[-1] if rest else ""
     if head.strip() and not first:

@@ -846,11 +846,12 @@ signals:
         (UNTIDY.replace("\n", "\r\n"), TIDY.replace("\n", "\r\n")),
         ("name: CartPole # short", "name: CartPole # short\n"),
         (KEPT := "summary: |\n  one \n  two \nname: n\n", KEPT),
+        ("a:   1\t# x\ty\n", "a: 1   # x\ty\n"),
         # Whatever is quadratic in the lines takes minutes here.
         (COMMENTS := "a: 1\n" + "# a word\n" * 40_000, COMMENTS),
         (BRACKETS := "a: [\n" + "  x,\n" * 7_000 + "]\n", BRACKETS),
     ],
-    ids=["untidy", "tidy", "line ends", "no line end", "blanks of a text", "comments", "brackets"],
+    ids=["untidy", "tidy", "line ends", "no line end", "blanks of a text", "tabs", "comments", "brackets"],
 )
 def test_blanks_blank_lines_and_indentation_are_put_in_order(text: str, tidy: str) -> None:
     assert canonical_text(text) == tidy
