@@ -72,8 +72,7 @@ def canonical_text(text: str) -> str | None:
         return None
     if _meaning(result) != _meaning(plain) or _comments(result) != _comments(plain):
         return None
-    first = text.find("\n")
-    return result.replace("\n", "\r\n") if first > 0 and text[first - 1] == "\r" else result
+    return result.replace("\n", "\r\n") if text.partition("\n")[0].endswith("\r") else result
 
 
 def _meaning(text: str) -> object:
@@ -143,15 +142,11 @@ def _between_lines(gap: str, moved: int, *, first: bool, last: bool) -> str:
     if head.strip() and not first:
         blanks = len(head) - len(head.lstrip())
         head = " " * max(blanks - moved, min(blanks, 2)) + head.lstrip()
-    joined = "\n".join([head.rstrip(), *inner, "" if last else indentation])
+    joined = "\n".join([head.rstrip(), *inner, indentation])
     joined = re.sub(_BLANK_LINES, "\n\n", joined)
     if first:
         joined = joined.lstrip("\n")
-    if not last:
-        return joined
-    if indentation.strip():
-        joined += indentation
-    return f"{joined.rstrip()}\n"
+    return f"{joined.rstrip()}\n" if last else joined
 
 
 class _Columns:
@@ -180,17 +175,25 @@ class _Columns:
 
 def _indented(text: str) -> str:
     shifts, inside, dashes = _structure(text)
-    beginnings = sorted(shifts)
-    lines: list[str] = []
-    shift = 0
-    for number, line in enumerate(text.split("\n"), 1):
+    rows, beginnings = text.split("\n"), sorted(shifts)
+    lines, above, shift = list[str](), dict[int, int](), 0
+    for number, line in enumerate(rows, 1):
         shift = line_shift = shifts.get(number, shift)
-        # A comment belongs to the entry below it.
-        if number not in shifts and number not in inside and line.strip():
-            index = bisect_right(beginnings, number)
-            line_shift = shifts[beginnings[index]] if index < len(beginnings) else shift
+        blanks, index = _blanks_before(line), bisect_right(beginnings, number)
+        if number in shifts:
+            above = {column: moved for column, moved in above.items() if column < blanks} | {blanks: shift}
+        # A comment belongs to the entry below it, or to one above it if it is deeper than the one below.
+        elif number not in inside and line.strip():
+            if index < len(beginnings) and blanks <= _blanks_before(rows[beginnings[index] - 1]):
+                line_shift = shifts[beginnings[index]]
+            else:
+                line_shift = next((above[column] for column in reversed(above) if column <= blanks), shift)
         lines.append(_shifted(line, line_shift, dashes.get(number, ())))
     return "\n".join(lines)
+
+
+def _blanks_before(line: str) -> int:
+    return len(line) - len(line.lstrip(" "))
 
 
 def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
@@ -199,8 +202,7 @@ def _shifted(line: str, shift: int, dashes: tuple[int, ...]) -> str:
         line = f"{line[: dash + 1]} {line[dash + 1 :].lstrip(' ')}"
     if not line.strip(" "):
         return line if shift >= 0 else line[-shift:]
-    blanks = len(line) - len(line.lstrip(" "))
-    return " " * max(0, blanks + shift) + line.lstrip(" ")
+    return " " * max(0, _blanks_before(line) + shift) + line.lstrip(" ")
 
 
 def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int, ...]]]:
@@ -411,8 +413,7 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
         return Span(source, max(ends), max(ends)), f", {plain}"
     starts = [entry.key.span.start for entry in entries if entry.key.span.source is source]
     column = min(source.position(start).column for start in starts) - 1
-    is_aligned = len(line) - len(line.lstrip(" ")) == column
-    if not is_aligned and line.count("\n") > 1:
+    if _blanks_before(line) != column and line.count("\n") > 1:
         return None
     rest_of_line = re.compile(_REST_OF_LINE).match(text, max(ends))
     end = rest_of_line.end() if rest_of_line else text.find("\n", max(ends)) + 1

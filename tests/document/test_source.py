@@ -798,6 +798,8 @@ world:
           z"
     - - 1
       -   2
+      # of the list
+    # of the world
 
 
 
@@ -826,6 +828,8 @@ world:
           z"
     - - 1
       - 2
+      # of the list
+  # of the world
 
   text: |
       first
