@@ -13,7 +13,7 @@ import json
 import re
 from bisect import bisect_right
 from collections.abc import Iterator
-from itertools import islice
+from itertools import islice, takewhile
 from typing import Any, NamedTuple
 
 import yaml
@@ -314,7 +314,7 @@ _ANCHOR, _ALIAS = (rf"{sign}([^\s,\[\]{{}}]+)" for sign in ("&", r"\*"))
 
 
 def removal_fix(root: Node, path: NodePath) -> Fix | None:
-    """Return the fix that removes the entry at `path`, with its lines or with a comma beside it.
+    """Return the fix that removes the entry at `path`, with its lines and comments or with a comma beside it.
 
     None for the only entry of its mapping, a list item, an entry that shares its lines or its comma with
     other text, and one with an anchor that the rest of the file uses.
@@ -337,9 +337,9 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     source, start, _ = entry.key.span
     text, end = source.text, entry.value.span.end
     if not holder.span.text.startswith("{"):
-        start = text.rfind("\n", 0, start) + 1
-        rest_of_line = re.compile(_REST_OF_LINE).match(text, end)
-        end = rest_of_line.end() if rest_of_line and not text[start : entry.key.span.start].strip() else start
+        start = _start_of_lines(text, start)
+        rest_of_line, before = re.compile(_REST_OF_LINE).match(text, end), text[start : entry.key.span.start]
+        end = rest_of_line.end() if rest_of_line and not before.rpartition("\n")[2].strip() else start
     elif comma := re.compile(r"[ \t]*,[ \t]*").match(text, end):
         end = comma.end()
     else:
@@ -350,8 +350,15 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
     return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
 
 
+def _start_of_lines(text: str, key: int) -> int:
+    """Return the offset of the line of a key, or of the comments directly above it in its column."""
+    *lines, indentation = text[:key].split("\n")
+    comments = takewhile(lambda line: line.startswith(f"{indentation}#"), reversed(lines))
+    return key - len(indentation) - sum(len(line) + 1 for line in comments)
+
+
 def move_to_augment_fix(root: MappingNode, name: str) -> Fix | None:
-    """Return the fix that moves an entry from `signals` to `augment`, its comment with it.
+    """Return the fix that moves an entry from `signals` to `augment`, its comments with it.
 
     The name is added to an `augment` that is a list of names. None where the text does not allow it.
     """
@@ -381,12 +388,12 @@ def move_to_augment_fix(root: MappingNode, name: str) -> Fix | None:
 
 
 def _moved_lines(source: Source, holder: Entry, entry: Entry) -> str:
-    """Return the lines of an entry with its comment, ended by a newline; an entry in braces as one line."""
+    """Return the lines of an entry with its comments, ended by a newline; an entry in braces as one line."""
     start, end = entry.key.span.start, entry.value.span.end
     if holder.value.span.text.startswith("{"):
         return f"  {source.text[start:end]}{_newline(source)}"
     rest_of_line = re.compile(_REST_OF_LINE).match(source.text, end)
-    lines = source.text[source.text.rfind("\n", 0, start) + 1 : rest_of_line.end() if rest_of_line else end]
+    lines = source.text[_start_of_lines(source.text, start) : rest_of_line.end() if rest_of_line else end]
     return lines if lines.endswith("\n") else f"{lines}{_newline(source)}"
 
 
@@ -408,7 +415,7 @@ def _insertion(source: Source, line: str, section: Span, new: Entry | None) -> t
         return None
     if new.value.span.text.startswith("{"):
         plain = line.strip()
-        if re.search(_SPECIAL_IN_BRACKETS, plain.partition(": ")[2]):
+        if "\n" in plain or re.search(_SPECIAL_IN_BRACKETS, plain.partition(": ")[2]):
             return None
         return Span(source, max(ends), max(ends)), f", {plain}"
     starts = [entry.key.span.start for entry in entries if entry.key.span.source is source]

@@ -588,6 +588,10 @@ def moved(text: str, name: str = "a") -> str:
             "augment:\n  b: y\nsignals:\n  a: x  # note\nname: n\n",
             "augment:\n  b: y\n  a: x  # note\nname: n\n",
         ),
+        (
+            "signals:\n  # of b\n\n  # of a,\n  # again\n  a: x\n  # of c\n  c: z\n",
+            "augment:\n  # of a,\n  # again\n  a: x\nsignals:\n  # of b\n\n  # of c\n  c: z\n",
+        ),
         ("augment: {b: y}\nsignals: {a: x, c: z}\n", "augment: {b: y, a: x}\nsignals: {c: z}\n"),
         (
             "signals:\r\n  a: x\r\n  c: z\r\nname: n\r\n",
@@ -596,7 +600,7 @@ def moved(text: str, name: str = "a") -> str:
         ("augment: [b]\nsignals:\n  a: x\n", "augment: [b, a]\nsignals:\n  a: x\n"),
     ],
 )
-def test_a_signal_moves_to_augment_with_its_comment(before: str, after: str) -> None:
+def test_a_signal_moves_to_augment_with_its_comments(before: str, after: str) -> None:
     assert moved(before) == after
 
 
