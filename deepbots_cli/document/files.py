@@ -144,13 +144,15 @@ class UnusableFile:
         )
 
     def _similar_file(self) -> str | None:
-        """Return a file in the folder whose name is similar; None where a name of a shipped file is, and for
-        a robot if it is a scenario."""
+        """Return a file in the folder whose name is similar, of the kind of the library; None where a name of
+        a shipped file is."""
         if self.is_name and self.nearest_name:
             return None
-        near = _similar(self.path, self.by)
-        is_scenario = near is not None and near.endswith((".yaml", ".yml"))
-        return None if is_scenario and self.library is shipped.ROBOTS else near
+        suffixes = {self.path.suffix} if self.path.suffix else {".urdf", ".yaml"}
+        suffixes -= {".yaml", ".yml"} if self.library is shipped.ROBOTS else set()
+        by_stem = {file.stem: file.name for file in _beside(self.path, suffixes) if file != self.by}
+        near = nearest_word(self.path.stem, by_stem)
+        return by_stem[near] if near else None
 
     @property
     def meant(self) -> str | None:
@@ -210,14 +212,6 @@ def _beside(path: Path, suffixes: Container[str]) -> list[Path]:
         )
     except OSError:
         return []
-
-
-def _similar(path: Path, by: Path | None) -> str | None:
-    """Return the name of a file beside `path` that was probably meant, and is not the file that names it."""
-    suffixes = (path.suffix,) if path.suffix else (".urdf", ".yaml")
-    by_stem = {sibling.stem: sibling.name for sibling in _beside(path, suffixes) if sibling != by}
-    near = nearest_word(path.stem, by_stem)
-    return by_stem[near] if near else None
 
 
 def find_in(folder: Path, name: str, depth: int = _MAX_DEPTH) -> Path | None:
