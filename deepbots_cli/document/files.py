@@ -114,21 +114,20 @@ class UnusableFile:
 
     def _help_outside(self) -> str:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
+        allow = f"add `--allow-path {shell_word(folder)}` to the command"
         if project is None or self.through_link:
-            return (
-                f"add `--allow-path {shell_word(folder)}` to the command, or copy the file into"
-                f" {project or 'the project'}"
-            )
+            return f"{allow}, or copy the file into {project or 'the project'}"
         copy = (
             f"copy {folder} into {display_path(project)} and write `{self.path.parent.name}/{self.path.name}`"
         )
         above = Path(os.path.commonpath((project, self.path)))
-        if above in (Path(above.anchor), Path.home()):
-            return f"add `--allow-path {shell_word(folder)}` to the command; or {copy}"
+        # The nearest marker counts.
+        if above in (Path(above.anchor), Path.home()) or _has_marker(project):
+            return f"{allow}; or {copy}"
         marker = display_path(above / _PROJECT_MARKERS[0])
         return (
-            f"create the empty file {marker}, which makes one project of all that its folder contains; or add"
-            f" `--allow-path {shell_word(folder)}` to the command; or {copy}"
+            f"create the empty file {marker}, which makes one project of all that its folder contains; or"
+            f" {allow}; or {copy}"
         )
 
     def _elsewhere(self) -> str | None:
@@ -285,9 +284,13 @@ def project_root(folder: Path) -> Path:
     itself."""
     folder = folder.resolve()
     for candidate in (folder, *folder.parents):
-        if any((candidate / marker).exists() for marker in _PROJECT_MARKERS):
+        if _has_marker(candidate):
             return candidate
     return folder
+
+
+def _has_marker(folder: Path) -> bool:
+    return any((folder / marker).exists() for marker in _PROJECT_MARKERS)
 
 
 def display_path(path: Path) -> str:
