@@ -114,21 +114,21 @@ class UnusableFile:
 
     def _help_outside(self) -> str:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
-        allow = f"add `--allow-path {shell_word(folder)}` to the command"
+        ways = [f"add `--allow-path {shell_word(folder)}` to the command"]
         if project is None or self.through_link:
-            return f"{allow}, or copy the file into {project or 'the project'}"
-        copy = (
-            f"copy {folder} into {display_path(project)} and write `{self.path.parent.name}/{self.path.name}`"
-        )
+            return f"{ways[0]}, or copy the file into {project or 'the project'}"
+        if not project.is_relative_to(self.path.parent):
+            copied = os.path.relpath(project / self.path.parent.name / self.path.name, self.base)
+            ways.append(f"copy {folder} into {display_path(project)} and write `{Path(copied).as_posix()}`")
         above = Path(os.path.commonpath((project, self.path)))
         # The nearest marker counts.
-        if above in (Path(above.anchor), Path.home()) or _has_marker(project):
-            return f"{allow}; or {copy}"
-        marker = display_path(above / _PROJECT_MARKERS[0])
-        return (
-            f"create the empty file {marker}, which makes one project of all that its folder contains; or"
-            f" {allow}; or {copy}"
-        )
+        if above not in (Path(above.anchor), Path.home()) and not _has_marker(project):
+            ways.insert(
+                0,
+                f"create the empty file {display_path(above / _PROJECT_MARKERS[0])}, which makes one project of"
+                " all that its folder contains",
+            )
+        return "; or ".join(ways)
 
     def _elsewhere(self) -> str | None:
         """Return the path of a file of the same name in the project, as this file would write it."""

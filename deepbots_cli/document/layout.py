@@ -235,12 +235,7 @@ def _structure(text: str) -> tuple[dict[int, int], set[int], dict[int, tuple[int
         is_key = token.kind == "?" or (is_key and token.end == token.start)
         flow += (token.kind in _OPENING) - (token.kind in _CLOSING)
         last = line + text.count("\n", token.start, token.start + len(text[token.start : token.end].rstrip()))
-        if flow:
-            first = max(opened + 1, settled_to)
-        elif token.kind in _CLOSING:
-            first = line
-        else:
-            first = line + 1
+        first = max(opened + 1, settled_to) if flow else line + (token.kind not in _CLOSING)
         inside.update(range(first, last + 1))
         settled_to = last + 1  # the lines above are done
     return shifts, inside, dashes
