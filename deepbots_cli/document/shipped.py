@@ -14,12 +14,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document.nodes import text_at
+from deepbots_cli.document.parse import parse
 from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
-_SUMMARY = r"(?m)^summary: *(.+?) *$"
 
 
 @cache
@@ -104,9 +106,8 @@ def scenario_path(name: str) -> Path | None:
 
 
 def summary_of(path: Path) -> str:
-    """Return the summary of a scenario file of deepbots; empty without one."""
-    summary = re.search(_SUMMARY, path.read_text("utf-8"))
-    return summary[1] if summary else ""
+    """Return the summary of a scenario file on one line; empty without one."""
+    return text_at(parse(Source(str(path), path.read_text("utf-8")), Findings()), "summary")
 
 
 @cache

@@ -635,8 +635,9 @@ def test_an_entry_with_an_anchor_that_is_used_stays() -> None:
 
 def test_a_new_section_has_the_line_ends_of_the_file() -> None:
     root = root_of("name: n\r\n")
-    text = assigned_text(root, root.span.source, ("train", "gamma"), "0.9", "")
-    assert text == "name: n\r\ntrain:\r\n  gamma: 0.9\r\n"
+    assert assigned_text(root, root.span.source, ("train", "gamma"), "0.9", "") == (
+        "name: n\r\ntrain:\r\n  gamma: 0.9\r\n"
+    )
 
 
 TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), max_size=12)
@@ -777,8 +778,11 @@ def test_the_span_of_a_scalar_reads_as_that_scalar(data: dict[str, object]) -> N
             assert all(node.part(i, i + 1).text == node.text[i] for i in visible)
 
 
-def test_a_scenario_whose_first_line_extends_another_is_a_variant(tmp_path, monkeypatch):
-    (tmp_path / "mine.yaml").write_text("extends: cartpole\nsummary: Mine.\n")
+@pytest.mark.parametrize("summary", ["Mine.", "'Mine.'", "Mine.  # short", ">\n  Mine."])
+def test_a_scenario_whose_first_line_extends_another_is_a_variant_with_its_summary(
+    tmp_path, monkeypatch, summary
+):
+    (tmp_path / "mine.yaml").write_text(f"extends: cartpole\nsummary: {summary}\n")
     monkeypatch.setattr(shipped, "scenario_names", lambda: ["mine"])
     monkeypatch.setattr(shipped, "scenario_path", lambda name: tmp_path / f"{name}.yaml")
     assert shipped.shipped_summaries.__wrapped__(variants=True) == {"mine": "Mine."}
