@@ -221,6 +221,11 @@ def test_the_programs_of_the_readme_and_of_the_docs_run(bundle, monkeypatch):
             assert np.shape(names["commands"]["cart.wheels"]) == (4,)
 
 
+def test_the_next_command_that_checks_a_new_bundle_runs_as_printed(run, tmp_path, deepbots):
+    printed = deepbots("export", run, "-o", tmp_path / "new").err
+    assert "fits" in deepbots(*shlex.split(printed.rpartition("\n  deepbots ")[2])).out
+
+
 def test_a_bundle_that_does_not_fit_is_refused_item_by_item(bundle, deepbots):
     assert "fits cartpole" in deepbots("export", "--check", "cartpole", bundle).out
     output = deepbots("export", "--check", "cartpole", bundle, "--set", "observation.x=-1 .. 1 m", code=1).out

@@ -189,7 +189,7 @@ def _show_bundle(
         )
     next_commands = [
         f"deepbots serve {shell_word(folder)}",
-        f"deepbots export --check SCENARIO {shell_word(folder)}",
+        f"deepbots export --check {shell_word(folder / 'scenario.yaml')} {shell_word(folder)}",
     ]
     terminal.show(
         {"bundle": folder, **plain(info)}, "\n".join(lines), as_json=as_json, next_commands=next_commands
