@@ -145,6 +145,22 @@ def test_links_of_a_robot_that_overlap_are_named(engine_name, build, worlds):
     assert any((part[1] or "").startswith("wheel_") for part in (overlap.one, overlap.other))
 
 
+def test_two_bodies_that_overlap_with_several_shapes_are_listed_once(engine_name, build):
+    ball, box = (Geometry(Sphere(0.05)),), (Geometry(Box((0.1, 0.1, 0.1))),)
+    inertial = Inertial(0.1, ixx=1e-4, iyy=1e-4, izz=1e-4)
+    model = RobotModel(
+        "cart",
+        (Link("ball", inertial, ball, ball), Link("box", inertial, box, box)),
+        (Joint("rise", "fixed", "ball", "box", Pose((-0.01, 0, 0.2))),),
+        root="ball",
+    )
+    pill = ObjectBody("pill", Cylinder(0.05, 1.0), Pose((0, 0, 0.5)), **STAYS)
+    world = replace(things(pill), robots=(RobotBody("cart", model, pose=Pose((0.09, 0, 0.4))),))
+    (overlap,) = build(engine_name, world).overlaps()
+    assert ("cart", "box") in overlap
+    assert overlap.depth == pytest.approx(0.02, abs=1.5e-3)
+
+
 def test_looking_for_overlaps_leaves_no_trace_beyond_a_reset(engine_name, build):
     world = things(ball("ball", (0, 0, 0.2)))
 

@@ -400,14 +400,12 @@ class MuJoCoEngine:
             for link, geoms in pool.current.geoms.items()
             for geom in geoms
         }
-        deepest: dict[tuple[str, str], Overlap] = {}
+        deepest: dict[frozenset[str], Overlap] = {}
         for first, second, depth in surfaces.penetrations(self._world):
             if first in owners and second in owners:
                 overlap = Overlap(owners[first], owners[second], depth)
-                deepest_here = deepest.get((overlap.one[0], overlap.other[0]))
-                deepest[overlap.one[0], overlap.other[0]] = (
-                    overlap if deepest_here is None or deepest_here.depth < depth else deepest_here
-                )
+                bodies = frozenset((overlap.one[0], overlap.other[0]))  # in either order, by their shapes
+                deepest[bodies] = max(deepest.get(bodies, overlap), overlap, key=lambda each: each.depth)
         return sorted(deepest.values(), key=lambda overlap: -overlap.depth)
 
     # Pictures
