@@ -547,8 +547,9 @@ def _change(value: ChangedValue, evidence: TrainingEvidence) -> dict[str, Any]:
     _, node, unresolved = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
     row = {"path": value.path, "before": value.before, "after": value.after, "is_written": value.is_written}
     if node is not None and not unresolved:
-        file = display_path(Path(node.span.source.name))
-        row["place"] = f"{file}:{node.span.start_position.line}"
+        source = node.span.source
+        line = "" if source.assigned else f":{node.span.start_position.line}"
+        row["place"] = f"{display_path(Path(source.name))}{line}"
     return row
 
 

@@ -7,6 +7,7 @@ import html
 import json
 import re
 import shutil
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -628,6 +629,15 @@ def test_a_single_change_is_not_called_one_of_several(solved, tmp_path, capsys, 
     run = _trained(tmp_path, "missed", TEXT.replace("near:  4 cm", "near:  0.1 mm"))
     (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
     assert cause["advice"].startswith("Set it back and train again")
+
+
+def test_a_change_by_an_option_has_its_option_as_place_and_no_line(solved, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    setting = ("--set", "near=0.1 mm")
+    monkeypatch.setattr(sys, "argv", ["deepbots", "train", "mine.yaml", *setting])
+    run = _trained(tmp_path, "missed", TEXT, *setting)
+    (cause,) = (cause for cause in _causes(run, capsys) if cause["cause"] == "changed_since_solved")
+    assert "0.1 mm (--set near)" in cause["text"]
 
 
 def test_a_training_that_is_shorter_than_a_solved_one_comes_before_other_changes(
