@@ -1121,11 +1121,13 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
 
 
 def verdict(training: TrainingEvidence, causes: Sequence[Statement]) -> str:
-    """Return whether a training solves its task, and its most likely cause, in a sentence."""
+    """Return whether a training solves its task, and the first of its causes, in a sentence."""
     states = {True: "solved", False: "not solved", None: ""}
     state = "not solved yet" if training.is_running else states[training.verdict.solved]
-    titles = [cause.title for cause in sorted(causes, key=lambda cause: cause.cause == CHANGED)]
-    return ": ".join(filter(None, (state, *titles[:1]))) or "no cause of a failure was found"
+    return (
+        ": ".join(filter(None, (state, *(cause.title for cause in causes[:1]))))
+        or "no cause of a failure was found"
+    )
 
 
 def _settings_of_agent(evidence: TrainingEvidence, statement: Statement) -> Mapping[str, str]:

@@ -23,10 +23,10 @@ pytest.importorskip("stable_baselines3")
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.document import shipped
-from deepbots_cli.insight.causes import CAUSES, causes_after, diagnose
+from deepbots_cli.insight.causes import CAUSES, causes_after, diagnose, verdict
 from deepbots_cli.insight.learner import suspects
 from deepbots_cli.insight.stages import PRESENT_STAGE
-from deepbots_cli.insight.statements import statements_about
+from deepbots_cli.insight.statements import Statement, statements_about
 from deepbots_cli.insight.training import TrainingEvidence, read_training, run_probes
 from deepbots_cli.learning import train
 from deepbots_cli.learning.runs.episodes import SolvedAt
@@ -655,6 +655,16 @@ def test_the_logs_of_a_training_have_these_causes(name: str, run_of: Callable[[A
 
 def test_a_verdict_names_each_cause_in_a_few_words() -> None:
     assert [cause.name for cause in CAUSES if not 0 < len(cause.title.split()) <= 14] == []
+
+
+def test_the_verdict_names_the_first_of_the_listed_causes(carriage: Path) -> None:
+    titles = {
+        "changed_since_solved": "values changed since runs/a, which was solved",
+        "too_few_steps": "short",
+    }
+    causes = [Statement(cause, "", "", {}, title=title) for cause, title in titles.items()]
+    training = with_logs(carriage, **lasting(np.zeros(400)))
+    assert verdict(training, causes) == titles["changed_since_solved"]
 
 
 def test_a_diagnosis_writes_the_value_of_the_line_that_lint_names(run_of: Callable[[Any], Path]) -> None:
