@@ -100,6 +100,25 @@ def test_a_restored_snapshot_goes_on_to_the_bit_whatever_came_between(engine_nam
     )  # values that were restored are reset as well
 
 
+def test_a_reader_that_is_bound_after_a_snapshot_is_restored_with_it(engine_name, worlds, build):
+    engine = build(engine_name, worlds.arena())
+    if "snapshot" not in engine.capabilities:
+        pytest.skip("it has no snapshots")
+    kept = engine.snapshot()
+    part = ("robot", "wheel_0")
+    readers = [
+        engine.contact(part),
+        engine.contact_force(part),
+        engine.contact_force_vector(part),
+        engine.joint_wrench(part),
+    ]
+    before = [read() for read in readers]
+    engine.step(40)
+    assert not any(read() == value for read, value in zip(readers, before, strict=True))
+    engine.restore(kept)
+    assert [read() for read in readers] == before
+
+
 def test_an_engine_without_exact_snapshots_says_so(engine_name, worlds, build):
     engine = build(engine_name, worlds.rail())
     if "snapshot" in engine.capabilities:

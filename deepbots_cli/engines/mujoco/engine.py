@@ -78,36 +78,36 @@ class MuJoCoEngine:
     def reset(self) -> None:
         self._world.require_open().reset()
         self.motors.restore({}, {})
-        if self._contact_monitor is not None:
-            self._contact_monitor.reset()
-        if self._wrench_monitor is not None:
-            self._wrench_monitor.reset()
+        self._reset_monitors()
+
+    def _reset_monitors(self) -> None:
+        for monitor in (self._contact_monitor, self._wrench_monitor):
+            if monitor is not None:
+                monitor.reset()
 
     def step(self, substeps: int) -> None:
         world = self._world
         if world.is_stale:
             world.update_constants()
-        model = world.model
-        data = world.data
+        model, data = world.model, world.data
         contact_monitor = self._contact_monitor
         advance: Callable[..., None] = (
             sliding.stepper() if self._wrench_monitor is None else self._wrench_monitor.step
         )
         callbacks = self._substep_callbacks
         gain_updates = self.motors.gain_updates
+        if contact_monitor is not None:
+            contact_monitor.reset()
         if not (callbacks or gain_updates or world.has_pushes or self._wrench_monitor):
             if contact_monitor is None:
                 # One call for 8 substeps of a free body takes 12.6 us, 8 calls take 14.4 us.
                 advance(model, data, substeps)
             else:
-                contact_monitor.reset()
                 for _ in range(substeps):
                     advance(model, data)
                     contact_monitor.update()
             world.invalidate()
             return
-        if contact_monitor is not None:
-            contact_monitor.reset()
         for _ in range(substeps):
             for callback in callbacks:
                 callback()
@@ -133,6 +133,7 @@ class MuJoCoEngine:
     def restore(self, snapshot: object) -> None:
         if not isinstance(snapshot, WorldSnapshot):
             raise EngineError("this is not a snapshot of a world in MuJoCo")
+        self._reset_monitors()  # readers that were bound after the snapshot have no memory in it
         self._world.restore(snapshot)
 
     def close(self) -> None:
