@@ -91,12 +91,11 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         raise BundleError(f"{folder} is not a bundle of `deepbots export`: there is no such folder")
     if not os.path.lexists(folder / BUNDLE_NAME):
         raise BundleError(f"{folder} is not a bundle of `deepbots export`: it contains no {BUNDLE_NAME}")
+    keys = None if trusted is None else signature.keys_of(trusted)
     try:
         description = _read(folder, BUNDLE_NAME, _MAX_JSON_BYTES)
-        if trusted is not None:
-            signature.verify(
-                description, _read(folder, SIGNATURE_NAME, _MAX_SIGNATURE_BYTES), signature.keys_of(trusted)
-            )
+        if keys is not None:
+            signature.verify(description, _read(folder, SIGNATURE_NAME, _MAX_SIGNATURE_BYTES), keys)
         info = model.decode(description)
         missing = next((name for name in _REQUIRED if name not in info.files), None)
         if missing is not None:
@@ -117,7 +116,9 @@ def load(folder: str | Path, *, trusted: str | Path | Sequence[str] | None = Non
         OSError,
     ) as error:
         # An OSError means a name that the file system does not accept, or a folder without rights.
-        raise BundleError(f"{folder}: {_one_line(error, 1000)}; export the run again") from error
+        raise BundleError(
+            f"{folder}: {_one_line(error, 1000)}; export the run again{' with --sign KEY' if keys else ''}"
+        ) from error
     return bundle
 
 

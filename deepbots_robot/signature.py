@@ -11,6 +11,7 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,8 +96,13 @@ def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
     """Return public keys as `ssh-ed25519 AAAA...`, from lines or from a file with one key per line.
 
     Raises:
-        BundleError: There is no key, or a line is not a key.
+        BundleError: There is no key, or a line is not a key; or `cryptography` is missing.
     """
+    if find_spec("cryptography") is None:
+        raise BundleError(
+            "checking a signature needs cryptography, which is not installed; install it with: pip install"
+            ' "deepbots-robot[sign]"'
+        )
     if isinstance(trusted, str | Path):
         try:
             lines = _read_key_file(Path(trusted)).decode().splitlines()
@@ -111,7 +117,7 @@ def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
             continue
         if len(words) < 2 or words[0] != _KIND:
             raise BundleError(
-                f"'{line[:40]}' is not a trusted key; write a line such as `{_KIND} AAAA... name`"
+                f"{line[:40]!r} is not a trusted key; write a line such as `{_KIND} AAAA... name`"
             )
         keys.append(f"{words[0]} {words[1]}")
     if not keys:
@@ -123,17 +129,11 @@ def verify(description: bytes, content: bytes, trusted: Sequence[str]) -> None:
     """Check that a bundle.json is signed with a trusted key.
 
     Raises:
-        BundleError: The signature is damaged, that of another file, or of a key that is not trusted; or
-            `cryptography` is missing.
+        BundleError: The signature is damaged, that of another file, or of a key that is not trusted.
     """
-    try:
-        from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
-        from cryptography.hazmat.primitives.serialization import load_ssh_public_key
-    except ModuleNotFoundError as error:
-        raise BundleError(
-            "checking a signature needs cryptography, which is not installed; install it with: pip install"
-            ' "deepbots-robot[sign]"'
-        ) from error
+    from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+    from cryptography.hazmat.primitives.serialization import load_ssh_public_key
+
     try:
         signed = msgspec.json.decode(content, type=Signature)
         signature = base64.b64decode(signed.signature, validate=True)
@@ -159,13 +159,13 @@ def _public_key(key: object) -> Ed25519PublicKey:
 
 
 def _private_key_class() -> type[Ed25519PrivateKey]:
-    try:
-        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-    except ModuleNotFoundError as error:
+    if find_spec("cryptography") is None:
         raise KeyFileError(
             "signing needs cryptography, which is not installed; install it with: pip install"
             ' "deepbots-robot[sign]"'
-        ) from error
+        )
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
     return Ed25519PrivateKey
 
 
