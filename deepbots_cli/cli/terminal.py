@@ -23,7 +23,7 @@ from deepbots_cli.display import Display
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_output
 from deepbots_cli.processes import VERDICT_FILE
-from deepbots_cli.words import shell_word
+from deepbots_cli.words import counted, shell_word
 
 if TYPE_CHECKING:
     from deepbots_cli.document import Permissions
@@ -234,7 +234,7 @@ class ProgressBar:
             return parts[0]
         speed = count / elapsed
         if speed >= 1.0:
-            parts.append(f"{speed:,.0f} {self._unit.partition(' ')[0]}/s")
+            parts.append(f"{counted(round(speed), self._unit.partition(' ')[0].removesuffix('s'))}/s")
         if speed > 0.0 and count < self._total:
             parts.append(f"{(self._total - count) / speed:.0f} s to go")
         return "  ".join(parts)

@@ -32,7 +32,7 @@ from deepbots_cli.program.topics import mapping, sensor_fields
 from deepbots_cli.rollout import Driver, Episode, Start, play
 from deepbots_cli.rollout.drivers import zero_action
 from deepbots_cli.runtime import Supervisor
-from deepbots_cli.words import number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text
 from deepbots_robot.link import About, Link, pace
 from deepbots_robot.model import Output
 from deepbots_robot.server import Input, Intake
@@ -444,7 +444,7 @@ def report_lines(record: Mapping[str, Any]) -> list[str]:
         f"  steps     {record['steps']:,}; {held_steps:,} without a new command, {late_steps:,} that began"
         " late",
         f"  answer    {times}",
-        *(f"  refused   {count:,} commands: {kind}" for kind, count in record["refused"].items()),
+        *(f"  refused   {counted(count, 'command')}: {kind}" for kind, count in record["refused"].items()),
     ]
 
 

@@ -21,6 +21,7 @@ from deepbots_cli.errors import MissingExtraError, UsageError
 from deepbots_cli.learning.runs.run import ModelName, Run
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.recordings import EVENT_PREFIXES
+from deepbots_cli.words import counted
 
 MIN_STEPS, MAX_STEPS = 50, 3_000
 """The smallest and the largest number of steps of a log that are compared."""
@@ -145,7 +146,7 @@ def explain_log(episode: LoggedEpisode) -> list[str]:
         f"  {event.time:8.2f} s  {EVENT_PREFIXES.get(event.kind, '')}{event.text}" for event in episode.events
     ]
     if episode.safe_steps:
-        lines.append(f"  {episode.safe_steps:,} commands of the safe posture in all")
+        lines.append(f"  {counted(episode.safe_steps, 'command')} of the safe posture in all")
     return lines
 
 

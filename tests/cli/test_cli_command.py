@@ -590,6 +590,15 @@ def test_a_terminal_has_one_line_that_is_erased_and_a_log_a_line_for_every_tenth
         assert [line.partition(" ")[0] for line in text.splitlines()] == [*map(str, range(4, 41, 4))]
 
 
+@pytest.mark.parametrize(("count", "speed"), [(10, "1 episode/s"), (30, "3 episodes/s")])
+def test_a_speed_of_one_is_in_the_singular(monkeypatch: pytest.MonkeyPatch, count: int, speed: str) -> None:
+    clock = iter([0.0, 10.0])
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: next(clock))
+    stream = io.StringIO()
+    ProgressBar(count, "episodes of zero", stream=stream).update(count)
+    assert stream.getvalue() == f"{count} of {count} episodes of zero  {speed}\n"
+
+
 def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -424,6 +424,12 @@ def test_damaged_bytes_of_ros_messages_crash_nothing() -> None:
     assert all(math.isfinite(value) and abs(value) <= 1.02 for value in world.policy.seen)
 
 
+def test_a_report_counts_one_episode_and_one_command_in_the_singular() -> None:
+    lines = report_lines({**World().server.report(), "episodes": 1, "safe_steps": 1})
+    assert "in 1 episode;" in lines[1]
+    assert "  safe posture 1 command" in lines
+
+
 def test_the_log_has_the_answer_times_of_the_report() -> None:
     """A step that bridges a missing value answers nothing, however old the last value is."""
     world = World()

@@ -743,7 +743,7 @@ def _diagnose(
             trainings = [evidence for evidence in read_trainings(opened) if agent in (None, evidence.agent)]
             for training in trainings:
                 if not only_logs and not training.learned:
-                    with terminal.progress("short episodes", always=False) as show:
+                    with terminal.progress(always=False) as show:
                         run_probes(training, permissions=source.permissions, on_episode=show)
                 causes = find_causes(training)
                 stage = next(iter(statements_about((PRESENT_STAGE,), training)), None)
