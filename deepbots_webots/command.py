@@ -346,9 +346,16 @@ def _serve(simulation: Simulation, pace: Pace, options: _Options) -> Viewer:
     """Serve the page of a run, and print its address. A run that is recorded has no second one."""
     from deepbots_webots.viewer import Viewer
 
-    name, can_restart = options.world.name, options.record is None
-    viewer = Viewer(simulation, pace, name, options.host, options.port, can_restart=can_restart)
+    viewer = Viewer(
+        simulation,
+        pace,
+        options.world.name,
+        options.host,
+        options.port,
+        can_restart=options.record is None,
+    )
     terminal.note(viewer.address)
+    terminal.note("Ctrl-C ends it")
     if options.opens_browser:
         webbrowser.open(viewer.address)
     return viewer

@@ -375,7 +375,7 @@ def test_a_run_with_a_page_is_the_same_run(project: Path):
     )
     assert seen[0] == plain[0]
     assert "no key of the Keyboard is ever pressed: there is no window; with --view" in plain[1]
-    assert re.search(r"^http://127\.0\.0\.1:\d+/\?token=\S{20,}$", seen[1], re.MULTILINE)
+    assert re.search(r"^http://127\.0\.0\.1:\d+/\?token=\S{20,}\nCtrl-C ends it$", seen[1], re.MULTILINE)
     assert "Keyboard" not in seen[1]
 
 
