@@ -361,8 +361,8 @@ def report_lines(report: Mapping[str, Any]) -> list[str]:
     shown = ["none" if each is None else f"{each * 1e3:.2f} ms" for each in times]
     lines = [
         report["link"],
-        f"  steps        {report['steps']:,} in {report['episodes']:,} episode{'s' * (report['episodes'] != 1)};"
-        f" an input had no new value in {report['held_steps']:,},"
+        f"  steps        {report['steps']:,} in {report['episodes']:,} episode"
+        f"{'s' * (report['episodes'] != 1)}; an input had no new value in {report['held_steps']:,},"
         f" a command was limited in {report['limited_steps']:,}",
         f"  answer       median {shown[0]}, 99th percentile {shown[1]}, longest {shown[2]}",
         f"  safe posture {report['safe_steps']:,} command{'s' * (report['safe_steps'] != 1)}",
