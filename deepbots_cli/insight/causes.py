@@ -542,14 +542,13 @@ def changed_since_solved(evidence: TrainingEvidence) -> Numbers | None:
 
 
 def _change(value: ChangedValue, evidence: TrainingEvidence) -> dict[str, Any]:
-    """Return a changed value as JSON; `place` is its file and line."""
+    """Return a changed value as JSON; `place` is its file and line, or its option."""
     root = evidence.linted.root
     _, node, unresolved = follow_dotted(root, value.path) if root is not None else ((), None, value.path)
     row = {"path": value.path, "before": value.before, "after": value.after, "is_written": value.is_written}
     if node is not None and not unresolved:
-        source = node.span.source
-        line = "" if source.assigned else f":{node.span.start_position.line}"
-        row["place"] = f"{display_path(Path(source.name))}{line}"
+        line = "" if node.span.source.assigned else f":{node.span.start_position.line}"
+        row["place"] = f"{display_path(Path(node.span.source.name))}{line}"
     return row
 
 
