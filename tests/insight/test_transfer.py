@@ -397,6 +397,13 @@ def test_a_value_of_the_other_world_can_be_set_and_a_piped_output_has_no_progres
     assert "\r" not in output.err
 
 
+@pytest.mark.slow
+def test_an_engine_that_is_set_is_the_engine_of_the_other_world(run_of: Any, deepbots: Deepbots) -> None:
+    path = str(run_of("cartpole").path)
+    words = "--set", "world.engine=pybullet", "--quick", "--episodes", "2"
+    assert "training in mujoco and other in pybullet" in deepbots("transfer", path, *words).out
+
+
 def patient(folder: Path) -> list[str]:
     """The words of a transfer of a carriage that waits until step 104, and succeeds in step 121 if it is near
     its start."""

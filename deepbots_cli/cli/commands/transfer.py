@@ -141,7 +141,7 @@ def command(
         terminal.note_physics(run)
         judged = _other_scenario(run, scenario, overrides or (), permissions)
         other_engine = engine or (
-            run.record.engine if judged is not None else _other_engine(run.record.engine)
+            _other_engine(run.record.engine) if judged is None else run.engine_for(judged.program)
         )
         if judged is None and other_engine == run.record.engine:
             raise UsageError(
