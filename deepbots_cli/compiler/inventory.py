@@ -34,11 +34,14 @@ class NameEntry(NamedTuple):
     span: Span | None = None
 
 
-def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[NameEntry]:
+def names_at(
+    checked: CheckedScenario, kind: str, path: NodePath = (), *, is_pattern: bool = False
+) -> list[NameEntry]:
     """Return the names that a `Reference` or a `Pattern` of this kind may take at `path` of the scenario;
     none if they are unknown.
 
-    Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`.
+    Inside of a robot its parts go by their short names, elsewhere by full ones, as `cart.pole_hinge`. Only a
+    pattern and a kind that takes several links may name a group of links.
     """
     agent = next((str(step) for step in path if step in checked.agents), "")
     of_agent = checked.agents.get(agent, checked)
@@ -61,15 +64,16 @@ def names_at(checked: CheckedScenario, kind: str, path: NodePath = ()) -> list[N
             ]
         case "value":
             return _defined(namespace, SupervisorScope(namespace, Context.OBSERVATION).names())
-    words = dict(reference.words)
-    if kind == "agent" and path[:1] in (("endings",), ("truncation",)):
-        words[ALL_AGENTS] = "all agents"
+    has_everyone = kind == "agent" and path[:1] in (("endings",), ("truncation",))
+    words = {**reference.words, **({ALL_AGENTS: "all agents"} if has_everyone else {})}
+    takes_several = "links" in reference.parts and (is_pattern or reference.singular)
+    parts = (*reference.parts, "link groups") if takes_several else reference.parts
     felt = namespace.walls if kind == "bodies or links" else ()  # by a touch sensor
     entries = (
         *_of_sections(namespace.values.root, reference.sections),
         *_of_sections(checked.document.root, reference.sections),  # those of all agents
         *_defined(namespace, felt),
-        *_parts(namespace, "" if ("robots",) in reference.sections else robot, reference.parts),
+        *_parts(namespace, "" if ("robots",) in reference.sections else robot, parts),
         *(NameEntry(word, meaning) for word, meaning in words.items()),
     )
     # Reversed, so that the first entry of a name replaces the later ones.
@@ -205,7 +209,7 @@ def _parts_of(namespace: Namespace, robot: ResolvedRobot, sections: tuple[str, .
         for name, actuator in robot.spec.actuators.items():
             yield _keyed(namespace, (*home, "actuators", name), f"an actuator ({actuator.type})")
     for name, (kind, members) in robot.groups.items():
-        if "groups" in sections or ("joints" if kind is Kind.JOINTS else "links") in sections:
+        if "groups" in sections or ("joints" if kind is Kind.JOINTS else "link groups") in sections:
             yield _keyed(namespace, (*home, "groups", name), f"{kind.description} ({', '.join(members)})")
     if "joints" in sections:
         for joint in robot.model.moving_joints:
@@ -297,7 +301,8 @@ def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot) -> Names:
         received |= dict.fromkeys(checked.spec.action, "an action")
     parts = {
         **dict.fromkeys(("joint", "joints", "joint pattern"), _offer(joints, only=True)),
-        **dict.fromkeys(("link", "links", "link pattern"), _offer(links, only=True)),
+        "link": _offer(_named(checked, "link", home), only=True),
+        **dict.fromkeys(("links", "link pattern"), _offer(links, only=True)),
         "joint or link pattern": _offer(links | joints, only=True),
     }
     poses = dict.fromkeys(robot.spec.poses, "a pose")

@@ -473,8 +473,8 @@ def _words(words: Iterable[str], detail: str) -> Iterator[Choice]:
 
 def _named(view: CursorView, field: FieldType, path: NodePath) -> Iterator[Choice]:
     """Yield the names that a reference may take."""
-    if isinstance(field, (Reference, Pattern)):
-        entries = names_at(view.checked, field.kind, path) if view.checked is not None else ()
+    if isinstance(field, (Reference, Pattern)) and view.checked is not None:
+        entries = names_at(view.checked, field.kind, path, is_pattern=isinstance(field, Pattern))
         yield from (Choice(entry.name, CompletionItemKind.Reference, entry.description) for entry in entries)
 
 

@@ -452,7 +452,7 @@ def _references_to(view: CursorView, target: KeyOrValue) -> list[NameEntry]:
     """Return the names that a key or value refers to outside of expressions; several for a pattern."""
     for field in _fields_of(view, target):
         if view.checked is not None and isinstance(field, (Reference, Pattern)):
-            entries = names_at(view.checked, field.kind, target.path)
+            entries = names_at(view.checked, field.kind, target.path, is_pattern=isinstance(field, Pattern))
             if fitting := [entry for entry in entries if fnmatchcase(entry.name, target.text)]:
                 return fitting
     return []

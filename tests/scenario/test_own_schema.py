@@ -193,6 +193,13 @@ def test_patterns_and_groups_are_not_a_mistake(own: Own, patterns: str) -> None:
     assert faults(own(text), data(text)) == []
 
 
+def test_a_group_of_links_is_no_link(own: Own) -> None:
+    text = CARTPOLE.replace("    apply:", "    groups: {ends: [tip]}\n    apply:")
+    schema = own(text)
+    taken = [key for key in ("link", "links") if "ends" in listed(schema, "Touch.cart", key)]
+    assert (taken, "cart.ends" in listed(schema, "Disturbance", "body")) == (["links"], False)
+
+
 @pytest.mark.parametrize(
     "text",
     [
