@@ -46,8 +46,11 @@ def names_at(
     agent = next((str(step) for step in path if step in checked.agents), "")
     of_agent = checked.agents.get(agent, checked)
     namespace = of_agent.namespace
-    if namespace is None or of_agent.spec is None:
+    is_by_agent = bool(checked.agents) and path[:1] == ("tests",) and path[2:3] == ("actions",)
+    if namespace is None or of_agent.spec is None or (is_by_agent and kind == "option" and not agent):
         return []
+    if is_by_agent:  # the step of a test names the agents, and below each its action
+        kind, path = {"action": "agent", "choice": "action"}.get(kind, kind), path[:4]
     reference = REFERENCE_KINDS[kind]
     robot = str(path[1]) if path[:1] == ("robots",) and len(path) > 1 else ""
     match kind:
@@ -96,7 +99,9 @@ def _of_sections(root: Node | None, sections: Mapping[NodePath, str]) -> Iterato
 def _options(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]:
     """Return the options of the action at `path`, or the components of a range for each member of a group."""
     only = [*namespace.scenario.action] if len(namespace.scenario.action) == 1 else [""]
-    name = action_at(path) or only[0]  # an action of one part needs no name
+    # scripts / NAME / ACTION, tests / NAME / actions / STEP / ACTION, and ACTION below the section `action`
+    index = {"scripts": 2, "tests": 4}.get(str(*path[:1]), 1)
+    name = str(path[index]) if len(path) > index else only[0]  # an action of one part needs no name
     part = namespace.scenario.action.get(name)
     if isinstance(part, DiscreteAction):
         return list(_of_sections(namespace.values.root, {("action", name, "choices"): "an option"}))
@@ -108,14 +113,6 @@ def _options(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]
         _keyed(namespace, ("action", name), f"a component of `{name}`", component)
         for component in components or ()
     ]
-
-
-def action_at(path: NodePath) -> str:
-    """Return the action that a place of a script, of an action of a test or of the section `action` belongs
-    to; empty for none."""
-    # scripts / NAME / ACTION, and tests / NAME / actions / STEP / ACTION
-    index = {"scripts": 2, "tests": 4}.get(str(path[0]), 1) if path else 1
-    return str(path[index]) if len(path) > index else ""
 
 
 def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:

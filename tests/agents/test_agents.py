@@ -27,6 +27,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.codegen import batch_obstacles
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
+from deepbots_cli.compiler.inventory import names_at
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver
@@ -593,6 +594,13 @@ def test_a_test_expects_the_results_of_one_agent(tested_carts: Path, deepbots: D
     (scenario,) = json.loads(deepbots("test", tested_carts, "--json").out)["scenarios"]
     assert [test["test"] for test in scenario["tests"]] == ["left_falls", "right_wins", "both_lean", "pushed"]
     assert [test["steps"] for test in scenario["tests"]][2:] == [5, 3]
+
+
+def test_a_step_of_a_test_is_offered_the_agents_and_below_each_its_actions(tested_carts: Path) -> None:
+    checked, step = api.load(tested_carts), ("tests", "pushed", "actions", 1)
+    places = [("action", step), ("option", step), ("choice", (*step, "left")), ("option", (*step, "left"))]
+    offered = [[entry.name for entry in names_at(checked, *place)] for place in places]
+    assert offered == [["left", "right"], [], ["drive"], []]
 
 
 def test_a_failed_test_shows_the_command_with_both_drivers(tested_carts: Path, deepbots: Deepbots) -> None:
