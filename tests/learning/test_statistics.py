@@ -40,6 +40,7 @@ from deepbots_cli.program.task import Solved
 from deepbots_cli.rollout import Episode, EpisodeAccumulator
 from deepbots_cli.words import beside, number_text, rate_beside, rate_text
 from tests.few import few
+from tests.files import written
 
 
 @pytest.mark.parametrize(
@@ -559,6 +560,17 @@ def test_the_episode_file_is_appended_to_and_keeps_one_header(tmp_path: Path) ->
     assert lines[0].startswith("#{")
     rows = list(csv.DictReader(lines[1:]))
     assert ([row["episode"] for row in rows], rows[0]["ended_by"]) == (["1", "2"], 'an "odd", name')
+
+
+@pytest.mark.parametrize("begun", ["", "#{}\nr,l,t,episode\n"])
+def test_rows_of_the_episode_file_fit_the_header_of_the_file(tmp_path: Path, begun: str) -> None:
+    path = written(tmp_path / "monitor.csv", begun)
+    file = EpisodeLog(path, "Pole")
+    file.open()
+    file.write(Episode(1.0, 5, False, "fallen"), Statistics(0.1, None))
+    file.close()
+    (row,) = csv.DictReader(path.read_text().splitlines()[1:])
+    assert (row["l"], row["episode"], None in row) == ("5", "0", False)
 
 
 WORLDS, FALL, SURVIVAL, TRUTH = 256, 20, 500, 0.74

@@ -198,14 +198,12 @@ class EpisodeLog:
             RunError: The file cannot be written.
         """
         try:
-            is_new = not self._path.exists()
-            columns = [*self.COLUMNS, *([AGENTS_COLUMN] if self._members else [])]
-            if self._members and not is_new:  # a version without the column may have begun it
-                with _opened_log(self._path) as log:
-                    columns = columns if log is None else _read_header(self._path, log) or columns
-            self._stream = self._path.open("a", newline="\n", encoding="utf-8")
+            with _opened_log(self._path) as log:  # a version with other columns may have begun it
+                begun = [] if log is None else _read_header(self._path, log)
+            columns = begun or [*self.COLUMNS, *([AGENTS_COLUMN] if self._members else [])]
+            self._stream = self._path.open("a" if begun else "w", newline="\n", encoding="utf-8")
             self._rows = csv.DictWriter(self._stream, columns, extrasaction="ignore")
-            if is_new:
+            if not begun:
                 self._stream.write(f"#{json.dumps({'t_start': time.time(), 'env_id': self._scenario})}\n")
                 self._rows.writeheader()
         except OSError as error:
