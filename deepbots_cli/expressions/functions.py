@@ -338,7 +338,7 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             func=ast.Attribute(value=ast.Name(id="np" | "self" as owner), attr=name), args=parts, keywords=[]
         ):
             return Code(f"{owner}.{name}({', '.join(printed(part, args).text for part in parts)})")
-        case ast.Starred(value=ast.Name(id=name)):
+        case ast.Starred(value=ast.Name(id=name)) if f"*{name}" in args:
             return args[f"*{name}"]
         case (
             ast.BinOp(op=sign, left=left, right=right)
@@ -367,7 +367,8 @@ def printed(node: ast.expr, args: Mapping[str, Code]) -> Code:
             )
     raise ValueError(
         f"{ast.unparse(node)[:60]!r} is not part of the Python of functions; write numbers, + - * / // %, comparisons,"
-        " `a if c else b`, and calls by name of abs, min, max and functions of math: hypot(1, x), pow(x, 2)"
+        " `a if c else b`, and calls by name of abs, min, max and functions of math: hypot(1, x), pow(x, 2);"
+        " only an argument with variadic=True has a star"
     )
 
 

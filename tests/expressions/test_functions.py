@@ -234,6 +234,11 @@ BROKEN = [
         MODULE.replace('Param("x")', 'Param("x"), Param("y", variadic=True)').replace('"2*x"', '"x*y"'),
         "the python of 'double' must contain *y",
     ),
+    (
+        "starred:FUNCTIONS",
+        MODULE.replace('"2*x"', '"max(*x)"'),
+        "only an argument with variadic=True has a star",
+    ),
     ("unfinished:FUNCTIONS", MODULE.replace('"2*x"', '"2 *"'), "is not a Python expression"),
     ("comparing:FUNCTIONS", MODULE.replace('"2*x"', '"x > 1"'), "gives a truth value; write boolean=True"),
 ]
