@@ -283,7 +283,7 @@ def worlds_that_work(
     if solved is None:
         return (None, None), ""
     first, second = (solved.is_met(result.mean_return, result.success_rate) for result in results)
-    return (first, second), f"`solved` of the scenario ({solved.description})"
+    return (first, second), f"the thresholds of `solved` ({solved.thresholds})"
 
 
 T = TypeVar("T")

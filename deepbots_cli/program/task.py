@@ -650,13 +650,16 @@ class Solved:
     success_rate: float | None = None
 
     @property
+    def thresholds(self) -> str:
+        """`mean return >= 195`."""
+        returns = "" if self.mean_return is None else f"mean return >= {self.mean_return:g}"
+        rate = "" if self.success_rate is None else f"success rate >= {100 * self.success_rate:g} %"
+        return " and ".join(filter(None, (returns, rate)))
+
+    @property
     def description(self) -> str:
         """`mean return >= 195 over 100 episodes`."""
-        criteria = [f"mean return >= {self.mean_return:g}"] if self.mean_return is not None else []
-        criteria += (
-            [f"success rate >= {100 * self.success_rate:g} %"] if self.success_rate is not None else []
-        )
-        return f"{' and '.join(criteria)} over {self.episodes} episodes"
+        return f"{self.thresholds} over {self.episodes} episodes"
 
     def is_met(self, mean_return: float, success_rate: float) -> bool:
         """Return whether means over enough episodes reach every threshold of the criterion."""

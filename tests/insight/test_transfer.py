@@ -511,7 +511,7 @@ def test_whether_a_policy_works_follows_from_the_requirements_or_from_solved() -
     assert worlds_that_work(names, results, gates, None)[0] == (True, False)
     assert worlds_that_work(names, results, [], Solved(100, 195.0, None)) == (
         (True, False),
-        "`solved` of the scenario (mean return >= 195 over 100 episodes)",
+        "the thresholds of `solved` (mean return >= 195)",
     )
     assert worlds_that_work(names, results, [], None) == ((None, None), "")
 
