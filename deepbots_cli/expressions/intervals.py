@@ -168,7 +168,7 @@ def _passes(a: Interval, angle: float) -> bool:
 
 
 def wrap_angle(a: Interval) -> Interval:
-    return a if a.is_within(TURN) else TURN
+    return a if a.is_within(TURN) and a.low > -math.pi else TURN  # -pi becomes pi
 
 
 def minimum(*intervals: Interval) -> Interval:
@@ -207,7 +207,7 @@ def hypot(*parts: Interval) -> Interval:
 
 def atan2(y: Interval, x: Interval) -> Interval:
     """Return the angle of the point (x, y), without the half planes where the point cannot lie."""
-    if y.low < 0.0:
+    if y.low < 0.0 or (y.low == 0.0 and x.low < 0.0):  # the angle of (-1, -0.0) is -pi
         return QUARTER_TURNS if x.low >= 0.0 else TURN
     if y == ZERO and x.low >= 0.0:
         return ZERO

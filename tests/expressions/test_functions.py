@@ -750,3 +750,14 @@ def test_a_memory_of_a_vector_keeps_each_component_apart(kind, arguments):
             assert list(whole.update(*row)) == expected
         for memory in (whole, *parts):
             memory.reset()
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "value"),
+    [
+        ("wrap", (Interval(-math.pi, 0.0),), formulas.wrap_angle(-math.pi)),
+        ("atan2", (Interval(0.0, 1.0), Interval(-1.0, -1.0)), math.atan2(-0.0, -1.0)),
+    ],
+)
+def test_an_angle_of_half_a_turn_is_in_the_interval_of_its_function(name, arguments, value):
+    assert value in FUNCTIONS[name].interval(*arguments)
