@@ -267,7 +267,7 @@ class Places(NamespaceReader):
     def _check_spread(self, place: Placement, group: ObjectGroup, path: NodePath) -> None:
         """Report DB105 if several copies of a group may be placed at the same coordinates."""
         copies = group.capacity if place.at_most is None else min(group.capacity, place.at_most)
-        given = [place.coordinates[axis] for axis in SPACE if axis in place.coordinates]
+        written = [place.coordinates[axis] for axis in SPACE if axis in place.coordinates]
         unread = {*SPACE, *(() if "x" in place.coordinates else ("line", "xyz"))} - place.coordinates.keys()
         if any(self._values.is_present((*path, key)) for key in ("region", "grid", "on", *unread)):
             return  # there would be spots or coordinates, were it not for a finding
@@ -275,7 +275,7 @@ class Places(NamespaceReader):
             copies > 1
             and place.spot is None
             and not any(place.spacing)
-            and not any(is_drawn(coordinate.scalar) for coordinate in given)
+            and not any(is_drawn(coordinate.scalar) for coordinate in written)
         ):
             self._values.add_at_key(
                 "DB105",

@@ -128,7 +128,9 @@ def _names(case: Case, data: dict[str, Any], path: str, section: Any, key: str) 
         model = model_of(data["robots"][above[1]]["urdf"])
         parts = model.moving_joints if kind == "joints" else [link for link in model.links if link.mass]
         return [pick(case.draw, [part.name for part in parts])] if parts else []
-    return list(section) if key == "*" else [key] if key in section or key in MADE else []
+    if key == "*":
+        return list(section)
+    return [key] if key in section or key in MADE else []
 
 
 def drawn_parameters(case: Case, data: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any], Parameter]]:

@@ -146,9 +146,16 @@ REDUCED: Mapping[str, Callable[..., Any]] = {
 }
 """The functions of one vector."""
 _clamp = COMPUTED["clamp"]
+
+
+def _previous(series: Sequence[Sequence[float]]) -> float:
+    """Return the argument of the step before; in the first step, the start that the call names."""
+    return series[-2][0] if len(series) > 2 else series[0][-1]
+
+
 REMEMBERED: Mapping[str, Callable[[Sequence[Sequence[float]], float], float]] = {
-    "delta": lambda s, _: 0.0 if len(s) == 1 else s[-1][0] - (s[-2][0] if len(s) > 2 else s[0][-1]),
-    "previous": lambda s, _: s[-2][0] if len(s) > 2 else s[0][-1],
+    "delta": lambda s, _: s[-1][0] - _previous(s) if len(s) > 1 else 0.0,
+    "previous": lambda s, _: _previous(s),
     "running_max": lambda s, _: max(x for (x,) in s),
     "running_min": lambda s, _: min(x for (x,) in s),
     "hold": lambda s, _: [s[0][0], *(x for x, holds in s[1:] if holds)][-1],
