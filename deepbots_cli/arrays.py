@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.expressions.functions import Family, function_named
 from deepbots_cli.expressions.scalar import Const, Name, Op, Scalar
+from deepbots_cli.expressions.text import serves_arrays
 
 Array = NDArray[Any]
 
@@ -69,4 +70,6 @@ def _evaluate(scalar: Scalar, values: Mapping[Name, Array]) -> Any:
 @cache
 def _array_function(name: str) -> Callable[..., Any]:
     function = function_named(name)
-    return function.compiled(function.array or function.python, _NAMESPACE)
+    compute = function.compiled(function.array or function.python, _NAMESPACE)
+    # A package may leave out the Python for arrays.
+    return compute if function.array or serves_arrays(function) else np.vectorize(compute, otypes=[float])

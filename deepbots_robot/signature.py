@@ -101,7 +101,7 @@ def keys_of(trusted: str | Path | Sequence[str]) -> tuple[str, ...]:
     if find_spec("cryptography") is None:
         raise BundleError(
             "checking a signature needs cryptography, which is not installed; install it with: pip install"
-            ' "deepbots-robot[sign]"'
+            " cryptography"
         )
     if isinstance(trusted, str | Path):
         try:
@@ -161,8 +161,7 @@ def _public_key(key: object) -> Ed25519PublicKey:
 def _private_key_class() -> type[Ed25519PrivateKey]:
     if find_spec("cryptography") is None:
         raise KeyFileError(
-            "signing needs cryptography, which is not installed; install it with: pip install"
-            ' "deepbots-robot[sign]"'
+            "signing needs cryptography, which is not installed; install it with: pip install cryptography"
         )
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 

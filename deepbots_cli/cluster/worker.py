@@ -58,8 +58,14 @@ class Requirements:
                     f"{worker} has {name} {here.get(name, 'not installed')}, but this process has {version}"
                 )
         for path, digest in self.files.items():
-            if _digest(path) != digest:
+            digest_here = _digest(path)
+            if not digest_here:
                 return f"{worker} does not see {path}; use a folder that all nodes share"
+            if digest_here != digest:
+                return (
+                    f"{worker} sees another {path}, which has changed since this command began, or is in a"
+                    " folder that the nodes do not share; start the command again"
+                )
         return (
             None
             if self.folder.is_dir()

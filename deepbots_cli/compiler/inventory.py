@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from typing import NamedTuple
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.namespace import Namespace, Origin, SupervisorScope
+from deepbots_cli.compiler.namespace import Namespace, Origin, RobotScope, ScenarioScope, SupervisorScope
 from deepbots_cli.compiler.robots import ResolvedRobot
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.document.nodes import (
@@ -34,6 +35,12 @@ class NameEntry(NamedTuple):
     span: Span | None = None
 
 
+def namespace_at(checked: CheckedScenario, path: NodePath) -> Namespace | None:
+    """Return the names that are visible at `path`, those of the first agent for a path that names none."""
+    agent = next((str(step) for step in path if step in checked.agents), "")
+    return checked.agents.get(agent, checked).namespace
+
+
 def names_at(
     checked: CheckedScenario, kind: str, path: NodePath = (), *, is_pattern: bool = False
 ) -> list[NameEntry]:
@@ -44,10 +51,9 @@ def names_at(
     pattern and a kind that takes several links may name a group of links.
     """
     agent = next((str(step) for step in path if step in checked.agents), "")
-    of_agent = checked.agents.get(agent, checked)
-    namespace = of_agent.namespace
+    namespace = namespace_at(checked, path)
     is_by_agent = bool(checked.agents) and path[:1] == ("tests",) and path[2:3] == ("actions",)
-    if namespace is None or of_agent.spec is None or (is_by_agent and kind == "option" and not agent):
+    if namespace is None or (is_by_agent and kind == "option" and not agent):
         return []
     if is_by_agent:  # the step of a test names the agents, and below each its action
         kind, path = {"action": "agent", "choice": "action"}.get(kind, kind), path[:4]
@@ -115,17 +121,17 @@ def _options(namespace: Namespace, kind: str, path: NodePath) -> list[NameEntry]
     ]
 
 
-def definition(checked: CheckedScenario, name: str, robot: str | None = None) -> NameEntry | None:
+def definition(scope: ScenarioScope, name: str) -> NameEntry | None:
     """Return the entry of the dotted `name` of an expression, or of the longest part of it that has a
     meaning.
 
-    On board of `robot` its own sensors, poses and received fields come first.
+    On board of a robot its own sensors, poses and received fields come first.
     """
-    namespace = checked.namespace
+    robot = scope.robot if isinstance(scope, RobotScope) else None
     words = name.split(".")
-    for length in range(len(words) if namespace is not None else 0, 0, -1):
+    for length in range(len(words), 0, -1):
         part = ".".join(words[:length])
-        entry = namespace and (_on_board(namespace, robot, part) or _anywhere(namespace, part))
+        entry = _on_board(scope.namespace, robot, part) or _anywhere(scope.namespace, part)
         if entry:
             return entry
     return None
@@ -237,37 +243,62 @@ _SUPERVISED = {
 
 
 def scenario_names(checked: CheckedScenario) -> ScenarioNames:
-    """Return the names of a scenario; none if its text could not be read."""
-    namespace, spec = checked.namespace, checked.spec
-    if namespace is None or spec is None:
+    """Return the names of a scenario, of all its agents; none if its text could not be read."""
+    agents: list[NodePath] = [("agents", agent) for agent in checked.agents] or [()]
+    namespaces = [namespace for agent in agents if (namespace := namespace_at(checked, agent)) is not None]
+    if not namespaces:
         return ScenarioNames()
-    everywhere = {kind: _offer(_named(checked, kind)) for kind in REFERENCE_KINDS if kind not in _ON_BOARD}
+    everywhere = {
+        kind: _offer(_joined(_named(checked, kind, agent) for agent in agents))
+        for kind in REFERENCE_KINDS
+        if kind not in _ON_BOARD
+    }
     choices = {
         option: "an option"
-        for part in spec.action.values()
+        for namespace in namespaces
+        for part in namespace.scenario.action.values()
         if isinstance(part, DiscreteAction)
         for option in part.choices
     }
-    is_whole = all(namespace.robots.values()) and not any(path[:1] == ("robots",) for path in spec.pruned)
+    is_whole = all(
+        all(namespace.robots.values())
+        and not any(path[:1] == ("robots",) for path in namespace.scenario.pruned)
+        for namespace in namespaces
+    )
     everywhere["choice"] = _offer(choices)
-    everywhere["joints"] = _offer(_named(checked, "joints"), only=is_whole)
-    everywhere |= _expressions(namespace)
-    robots = namespace.resolved_robots[:_MAX_ROBOTS]
-    return ScenarioNames(everywhere, {robot.name: _names_on_board(checked, robot) for robot in robots})
+    everywhere["joints"] = _offer(
+        _joined(_named(checked, "joints", agent) for agent in agents), only=is_whole
+    )
+    everywhere |= _expressions(namespaces)
+    robots = {robot.name: robot for namespace in namespaces for robot in namespace.resolved_robots}
+    actions = [action for namespace in namespaces for action in namespace.scenario.action]
+    return ScenarioNames(
+        everywhere,
+        {
+            name: _names_on_board(checked, robot, actions)
+            for name, robot in islice(robots.items(), _MAX_ROBOTS)
+        },
+    )
+
+
+def _joined(names: Iterable[Mapping[str, str]]) -> dict[str, str]:
+    """Return the names of all agents; those of the first one come first."""
+    return {name: meaning for of_agent in names for name, meaning in of_agent.items()}
 
 
 def _offer(descriptions: Mapping[str, str], *, only: bool = False) -> OfferedNames:
     return OfferedNames(descriptions if len(descriptions) <= _MAX_NAMES else {}, only)
 
 
-def _expressions(namespace: Namespace) -> Names:
+def _expressions(namespaces: Iterable[Namespace]) -> Names:
     """Return the names that an expression of the supervisor may use, by kind of expression."""
-    scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
-    parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
-    return {
-        f"{word} expression": _offer(_describe_names(namespace, names))
-        for word, names in (scopes | parameters).items()
-    }
+    offers: dict[str, dict[str, str]] = {}
+    for namespace in namespaces:
+        scopes = {word: SupervisorScope(namespace, context).names() for word, context in _SUPERVISED.items()}
+        parameters = dict.fromkeys(("require", "parameter"), namespace.names_of(Origin.PARAMETER))
+        for word, names in (scopes | parameters).items():
+            offers.setdefault(f"{word} expression", {}).update(_describe_names(namespace, names))
+    return {word: _offer(names) for word, names in offers.items()}
 
 
 def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str]:
@@ -281,7 +312,7 @@ def _describe_names(namespace: Namespace, names: Iterable[str]) -> dict[str, str
     }
 
 
-def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot) -> Names:
+def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot, actions: Iterable[str]) -> Names:
     """Return the parts of one robot by their short names; those of its file are checked, and patterns over
     them never are."""
     home: NodePath = ("robots", robot.name)
@@ -293,9 +324,7 @@ def _names_on_board(checked: CheckedScenario, robot: ResolvedRobot) -> Names:
     )
     links = groups | _named(checked, "links", home)
     sensors, actuators = _named(checked, "sensor", home), _named(checked, "actuator", home)
-    received = dict.fromkeys(robot.spec.receive or {}, "received")
-    if checked.spec is not None:
-        received |= dict.fromkeys(checked.spec.action, "an action")
+    received = dict.fromkeys(robot.spec.receive or {}, "received") | dict.fromkeys(actions, "an action")
     parts = {
         **dict.fromkeys(("joint", "joints", "joint pattern"), _offer(joints, only=True)),
         "link": _offer(_named(checked, "link", home), only=True),

@@ -481,3 +481,6 @@ class RobotScope(_Scope):
 
     def names(self) -> Iterable[str]:
         return [*self.symbols, *self.namespace.names_of(Origin.PARAMETER)]
+
+
+ScenarioScope = ParameterScope | SupervisorScope | RobotScope

@@ -259,7 +259,7 @@ def _nest(levels: list[str], kind: str) -> None:
 _PLAIN = r"[A-Za-z_][A-Za-z0-9_./ -]*[A-Za-z0-9_]|[A-Za-z_]"
 # YAML 1.1, which other programs read, takes `yes` and `on` for truth values.
 _WORDS = frozenset({"null", "true", "false", "yes", "no", "on", "off", "y", "n"})
-_UNSAFE_IN_QUOTES = r"[\x7f-\x9f\u2028\u2029\ufeff]"
+_UNSAFE_IN_QUOTES = r"[\x7f-\x9f\u2028\u2029\ufeff\ufffe\uffff]"
 """Characters that YAML does not read, or reads as line breaks, and that JSON does not escape."""
 
 
@@ -339,7 +339,8 @@ def removal_fix(root: Node, path: NodePath) -> Fix | None:
         end = comma.end()
     else:
         before = text[:start].rstrip()
-        start = len(before) - 1 if before.endswith(",") else end
+        ends_in_comment = "#" in before.rpartition("\n")[2]
+        start = len(before) - 1 if before.endswith(",") and not ends_in_comment else end
     if set(re.findall(_ANCHOR, text[start:end])) & set(re.findall(_ALIAS, text[end:])):
         return None
     return Fix((Edit(Span(source, start, end), ""),), safe=False) if start < end else None
@@ -461,9 +462,35 @@ def assigned_text(root: MappingNode, source: Source, path: NodePath, value: str,
             return None
         start, new = addition
         end = start
-    return _with_comment(
+    text = _with_comment(
         source.text[:start] + new.rstrip(), new[len(new.rstrip()) :] + source.text[end:], comment
     )
+    return text if _differs_in_value(source.text, text, path, value) else None
+
+
+def _differs_in_value(before: str, after: str, path: NodePath, value: str) -> bool:
+    """Return whether a text has `value` at `path`, and everything else as before; what an anchor names may
+    differ too."""
+    new_findings, old_findings = Findings(), Findings()
+    new, old = parse(Source("", after), new_findings), parse(Source("", before), old_findings)
+    written = parse(Source("", value), Findings())
+    if new is None or written is None or len(new_findings.errors) > len(old_findings.errors):
+        return False
+    node, data = node_at(new, *path), to_data(written)
+    is_written = node is not None and to_data(node) == data
+    expected = _with_value(to_data(old) if old is not None else {}, path, data)
+    return is_written and ("&" in before or to_data(new) == expected)
+
+
+def _with_value(data: object, path: NodePath, value: object) -> object:
+    """Return the data of a file with another value at `path`."""
+    if not path:
+        return value
+    step, below = path[0], path[1:]
+    if isinstance(data, list):
+        return [_with_value(item, below, value) if index == step else item for index, item in enumerate(data)]
+    entries = data if isinstance(data, dict) else {}
+    return {**entries, step: _with_value(entries.get(step), below, value)}
 
 
 def _alias(root: MappingNode, source: Source, path: NodePath) -> re.Match[str] | None:

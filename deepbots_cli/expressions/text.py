@@ -122,9 +122,14 @@ def _column_code(function: Function) -> str:
     if function.helper or function.method:
         return _scalar_code(function)
     text = _COLUMN_FUNCTIONS.get(function.name) or function.array
-    if not text and not all(_is_same_on_columns(node) for node in ast.walk(template(function.python))):
+    if not text and not serves_arrays(function):
         raise BatchError(f"it calls '{function.name}', which has no Python for arrays")
     return text or function.python
+
+
+def serves_arrays(function: Function) -> bool:
+    """Return whether the `python` of a function means the same for arrays."""
+    return all(_is_same_on_columns(node) for node in ast.walk(template(function.python)))
 
 
 def _is_same_on_columns(node: ast.AST) -> bool:

@@ -19,9 +19,8 @@ from lsprotocol.types import (
     TextEdit,
 )
 
-from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.compiler.inventory import definition, names_at
-from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, SupervisorScope
+from deepbots_cli.compiler.inventory import definition, names_at, namespace_at
+from deepbots_cli.compiler.namespace import ParameterScope, RobotScope, ScenarioScope, SupervisorScope
 from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.document import shipped
 from deepbots_cli.document.nodes import NodePath
@@ -112,7 +111,7 @@ def expression_choices(view: CursorView, field: FieldType) -> Iterator[Choice]:
         return
     scope = _scope_of(view.analysis, field, path) if view.analysis else None
     if scope is not None and view.checked is not None:
-        choices = _choices_in_scope(text, scope, view.checked)
+        choices = _choices_in_scope(text, scope)
         yield from (choice for choice in choices if not defines(path, choice.text))
     else:
         yield from functions(frozenset(Family))
@@ -181,19 +180,19 @@ def _open_call(before: str) -> tuple[str, int] | None:
     return None
 
 
-def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> Scope | None:
+def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> ScenarioScope | None:
     """Return the scope of an expression at `path` in a field of this type."""
-    checked = analysis.checked
-    if checked is None or checked.namespace is None:
+    namespace = namespace_at(analysis.checked, path) if analysis.checked is not None else None
+    if namespace is None:
         return None
     if not isinstance(field, Expression):
         may_vary = isinstance(field, Quantity) and field.known != "fixed"
-        return ParameterScope(checked.namespace, Context.FIELD if may_vary else Context.FIXED)
+        return ParameterScope(namespace, Context.FIELD if may_vary else Context.FIXED)
     if field.context in _CONTEXTS:
-        return ParameterScope(checked.namespace, _CONTEXTS[field.context])
+        return ParameterScope(namespace, _CONTEXTS[field.context])
     context = Context[field.context.upper()]
     if field.context not in _ROBOT_CONTEXTS:
-        return SupervisorScope(checked.namespace, context)
+        return SupervisorScope(namespace, context)
     robot = str(path[1]) if len(path) > 1 else ""
     scopes = [
         reading.scope
@@ -201,7 +200,7 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
         if isinstance(reading.scope, RobotScope) and reading.scope.robot == robot
     ]
     same = next((scope for scope in scopes if scope.context is context), scopes[0] if scopes else None)
-    return RobotScope(checked.namespace, context, robot, dict(same.symbols) if same else {})
+    return RobotScope(namespace, context, robot, dict(same.symbols) if same else {})
 
 
 # Units
@@ -245,7 +244,7 @@ def _unit(measure: str) -> Unit | None:
 # Names
 
 
-def _choices_in_scope(text: str, scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
+def _choices_in_scope(text: str, scope: ScenarioScope) -> Iterator[Choice]:
     """Yield the choices that may replace the name at the end of `text`, except units."""
     word = word_before(text)
     before = text[: len(text) - len(word)]
@@ -258,18 +257,17 @@ def _choices_in_scope(text: str, scope: Scope, checked: CheckedScenario) -> Iter
         return
     if "." in word:
         yield from _components(word.rpartition(".")[0], scope)
-    yield from _names(scope, checked)
+    yield from _names(scope)
     yield from functions(ALLOWED_FAMILIES[scope.context])
     for word, doc in {**_GRAMMAR, **(_REPEATS if scope.context is Context.PARAMETER else {})}.items():
         yield Choice(word, CompletionItemKind.Keyword, "", doc)
 
 
-def _names(scope: Scope, checked: CheckedScenario) -> Iterator[Choice]:
-    robot = scope.robot if isinstance(scope, RobotScope) else None
+def _names(scope: ScenarioScope) -> Iterator[Choice]:
     for name in list(dict.fromkeys(scope.names()))[:_MAX_NAMES]:
         symbol = scope.lookup(name)
         if symbol is not None and symbol.refusal is None:
-            entry = definition(checked, name, robot)
+            entry = definition(scope, name)
             yield Choice(
                 name,
                 CompletionItemKind.Variable,

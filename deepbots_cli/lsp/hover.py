@@ -12,7 +12,7 @@ from typing import NamedTuple
 from lsprotocol import types
 
 from deepbots_cli.compiler.inventory import NameEntry, definition, names_at
-from deepbots_cli.compiler.namespace import RobotScope
+from deepbots_cli.compiler.namespace import RobotScope, ScenarioScope
 from deepbots_cli.compiler.texts import SourceText
 from deepbots_cli.compiler.values import ScopedExpression
 from deepbots_cli.diagnostics import Span
@@ -78,10 +78,10 @@ class ExpressionNode(NamedTuple):
         return "".join(text[self.node.start : end].split())
 
     @property
-    def robot(self) -> str | None:
-        """The robot that computes the expression; None for the supervisor."""
+    def definition(self) -> NameEntry | None:
+        """The definition of the name under the cursor."""
         scope = self.reading.scope
-        return scope.robot if isinstance(scope, RobotScope) else None
+        return definition(scope, self.name) if self.name and isinstance(scope, ScenarioScope) else None
 
     @property
     def type(self) -> ValueType | None:
@@ -259,10 +259,7 @@ def _node_text(view: CursorView, located: ExpressionNode) -> str | None:
 
 
 def _name_text(view: CursorView, node: ExpressionNode, name: str) -> str | None:
-    checked = view.checked
-    if checked is None:
-        return None
-    entry = definition(checked, name, node.robot)
+    entry = node.definition
     if node.kinds is not None:
         subject = node.reading.scope.subject(name, node.kinds)
         return f"`{name}`: {subject.kind.description}{_definition_line(entry)}" if subject else None
@@ -434,10 +431,8 @@ def _located(view: CursorView, reference: str, library: shipped.Library | None) 
 def _by_name(view: CursorView) -> list[Span]:
     """Return the definition of the name under the cursor in an expression."""
     node = expression_at(view)
-    if node is None or node.name is None or view.checked is None:
-        return []
-    entry = definition(view.checked, node.name, node.robot)
-    return [entry.span] if entry and entry.span else []
+    entry = node.definition if node is not None else None
+    return [entry.span] if entry is not None and entry.span is not None else []
 
 
 def _fields_of(view: CursorView, target: KeyOrValue) -> list[FieldType]:

@@ -71,9 +71,7 @@ def test_a_worker_with_another_version_or_without_a_file_is_refused(
     file = written(tmp_path / "group.json", "{}")
     unseen = either.map(square, range(2), files=[file])
     file.write_text("{ }")
-    with pytest.raises(
-        UsageError, match=r"the worker on .* does not see .*group\.json; use a folder that all nodes share"
-    ):
+    with pytest.raises(UsageError, match=r"the worker on .* sees another .*group\.json, which has changed"):
         list(unseen)
     monkeypatch.setattr(
         "deepbots_cli.__version__", "99.0"

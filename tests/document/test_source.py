@@ -47,6 +47,7 @@ from deepbots_cli.document.layout import (
     removal_fix,
     to_yaml,
 )
+from deepbots_cli.document.nodes import NodePath, node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
@@ -63,6 +64,11 @@ def value(text: str) -> object:
     node, _ = read(f"key: {text}\n")
     assert isinstance(node, MappingNode)
     return to_data(node).get("key")  # type: ignore[attr-defined]
+
+
+def data_at(root: Node | None, *path: str | int) -> object:
+    node = node_at(root, *path)
+    return None if node is None else to_data(node)
 
 
 def only_finding(text: str) -> Finding:
@@ -638,6 +644,40 @@ def test_a_new_section_has_the_line_ends_of_the_file() -> None:
     assert assigned_text(root, root.span.source, ("train", "gamma"), "0.9", "") == (
         "name: n\r\ntrain:\r\n  gamma: 0.9\r\n"
     )
+
+
+@given(
+    st.sampled_from(
+        [
+            "a:\nb: 1\n",
+            "a:\n  c:\nb: 1\n",
+            "a: {b: &x 1, c: *x}\n",
+            "{a: 1, b: 2}\n",
+            "b:\n- 1\na: 2\n",
+            "? a\n: 1\n",
+            "a: {b: 1, # one, two\n  c: 2}\n",
+            "a: {}\nb: [1, 2]\n",
+            "a: |\n  b\nc: 'd'\n",
+        ]
+    ),
+    st.lists(st.sampled_from("abc"), min_size=1, max_size=3).map(tuple),
+    st.sampled_from(["5 deg", "'on'", "{d: 1}", "[1, 2]"]),
+)
+def test_an_edit_changes_an_entry_and_nothing_else(text: str, path: NodePath, new: str) -> None:
+    root = root_of(text)
+    edited = assigned_text(root, root.span.source, path, new, "")
+    if edited is not None:
+        edited_root, findings = read(edited)
+        assert data_at(edited_root, *path) == value(new)
+        assert len(findings) <= len(read(text)[1])
+        for name in root.entries:
+            assert name == path[0] or data_at(edited_root, name) == data_at(root, name)
+    fix = removal_fix(root, path)
+    if fix is not None:
+        (edit,) = fix.edits
+        left, findings = read(text[: edit.span.start] + text[edit.span.end :])
+        assert node_at(left, *path) is None
+        assert len(findings) <= len(read(text)[1])
 
 
 TEXT = st.text(st.characters(max_codepoint=0xFFFF, exclude_categories=["Cs"]), max_size=12)

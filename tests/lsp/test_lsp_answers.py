@@ -29,6 +29,8 @@ from hypothesis import strategies as st
 from lsprotocol.types import Position
 from pygls.workspace import PositionCodec
 
+from deepbots_cli import api
+from deepbots_cli.compiler.inventory import scenario_names
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.document import MappingNode, ScalarNode, walk
 from deepbots_cli.document.parse import parse
@@ -483,6 +485,26 @@ def test_a_shipped_name_leads_to_the_robot_file_or_the_scenario_that_it_names(cl
     )
     assert client.definition(uri, "extends: cart¦pole") == [("cartpole.yaml", 0, 0)]
     assert client.definition(uri, "urdf: cart¦pole") == [("cartpole.urdf", 0, 0)]
+
+
+def test_the_section_of_an_agent_is_answered_with_the_names_of_this_agent(client, project):
+    own = "augment: {hiding: 2 * apart, angle: 'bearing(prey, hunter)'}"
+    text = (project / "scenarios" / "tag.yaml").read_text(encoding="utf-8")
+    text = text.replace(
+        "    like: hunter\n",
+        f"    like: hunter\n    {own}\n    observation: {{hiding: 0 .. 9 m, angle: auto}}\n",
+    ).replace("free:    0.05", "free: hiding / m")
+    file = project / "scenarios" / "hiding.yaml"
+    file.write_text(text, encoding="utf-8")
+    uri = client.open(file, text)
+    assert [finding for finding in client.findings(uri) if finding["severity"] == 1] == []
+    ((name, line, _),) = client.definition(uri, "free: hid¦ing")
+    assert (name, text.splitlines()[line].strip()) == (file.name, own)
+    assert "hiding" in client.labels(uri, "free: hid¦ing")
+    assert "hiding" not in client.labels(uri, "closer: -10 * delta(a¦part)")
+    offered = scenario_names(api.load(file)).shared["reward expression"].names
+    assert {"hiding", "gap"} <= {*offered}
+    file.unlink()
 
 
 def test_a_pattern_leads_to_all_that_it_fits(client, project):

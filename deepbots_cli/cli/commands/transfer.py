@@ -313,7 +313,8 @@ def _success_lines(compared: WorldComparison, first_name: str, second_name: str)
             else "no change explains this difference"
         )
         return [f"success: {rates}; {reason}"]
-    share, text, rate = max(evaluated)
+    # A change that explains twice the difference is as far off as one that explains nothing.
+    share, text, rate = min(evaluated, key=lambda cause: abs(1 - cause[0]))
     little = "" if share >= EXPLAINS_MOST else "; the changes explain little of the difference in success"
     return [
         f"success: {rates}; {first_name} with {text}: {rate}, {percent(min(1.0, max(0.0, share)))} of the"

@@ -278,9 +278,9 @@ def read_log_tail(path: Path, size: int) -> list[dict[str, str]]:
         names = _read_header(path, stream)
         begin = os.fstat(stream.fileno()).st_size - size
         if begin > stream.tell():
-            stream.seek(begin)
-            # The first line is cut.
-            stream.readline(size)
+            # Up to the end of the line that is cut, which may be the byte before.
+            stream.seek(begin - 1)
+            stream.readline(size + 1)
         # What is written meanwhile is left out.
         return [*_table(names, _whole_lines(path, BytesIO(stream.read(size)), size))]
 
