@@ -9,6 +9,7 @@ from typing import NamedTuple
 from deepbots_cli.analysis.ranges import RangeAnalysis, Ranges
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import Dimension
+from deepbots_cli.expressions.functions import function_named
 from deepbots_cli.expressions.intervals import ALWAYS, INF, Interval
 from deepbots_cli.expressions.scalar import Const, EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import INEQUALITIES, Invocation, Known, Operation, Reference, TypedNode
@@ -26,6 +27,8 @@ _CONTINUOUS_FUNCTIONS = frozenset(
     {"position", "orientation", "joint_position", "clearance", "cross_track_error", "arc_length"}
 )
 """The facts that do not jump, unlike speeds and forces when bodies collide."""
+_JUMPING_FUNCTIONS = frozenset({"atan2", "wrap", "where"})
+"""The functions whose value may jump where their arguments do not, beside those with a truth value."""
 
 
 class ConditionComparison(NamedTuple):
@@ -287,9 +290,11 @@ def _is_gradual(analysis: RangeAnalysis, quantity: Scalar) -> bool:
         match node:
             case EngineRead(function) if function in _CONTINUOUS_FUNCTIONS:
                 continue
-            case Name(name) if name in parameters or is_clock(analysis, node):
+            case Name(name) if name in parameters or name in ("time", "step"):
                 continue
-            case Const() | Op():
+            case Op(op) if op not in _JUMPING_FUNCTIONS and not function_named(op).boolean:
+                continue
+            case Const():
                 continue
             case _:
                 return False

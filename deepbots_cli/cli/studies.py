@@ -108,7 +108,7 @@ class StudyDisplay(StudyReporter):
             return
         best = next(iter(self._study.ranked(self._study.trials())), None)
         self._best = f"best so far: trial {best.number}, {_score(best)}" if best else ""
-        result = trial.reason or trial.state if trial.score is None else _result(trial)
+        result = trial.reason or trial.state if trial.score is None else _result(self._study, trial)
         self._display.print(terminal.printable(f"trial {trial.number}: {_settings(trial.values)}: {result}"))
 
 
@@ -120,23 +120,28 @@ def _score(trial: StudyTrial) -> str:
     return f"score {number_text(trial.score or 0.0)}"
 
 
-def _result(trial: StudyTrial) -> str:
-    solved = [seed.steps for seed in trial.seeds if seed.steps is not None]
-    after = f", {len(solved)} of {len(trial.seeds)} seeds solved" + (
-        f" after {fmean(solved):,.0f} steps" if solved else ""
-    )
-    return f"{_score(trial)}{after}"
+def _solved(study: Study, trial: StudyTrial) -> tuple[str, float | None]:
+    """Return how many seeds solved the task, and after how many steps; empty if it may have no `solved`."""
+    steps = [seed.steps for seed in trial.seeds if seed.steps is not None]
+    count = f"{len(steps)} of {len(trial.seeds)}" if steps or study.record.objective == "solved" else ""
+    return count, fmean(steps) if steps else None
+
+
+def _result(study: Study, trial: StudyTrial) -> str:
+    count, steps = _solved(study, trial)
+    after = "" if steps is None else f" after {steps:,.0f} steps"
+    return _score(trial) + (f", {count} seeds solved{after}" if count else "")
 
 
 def _row(study: Study, trial: StudyTrial) -> Row:
-    solved = [seed.steps for seed in trial.seeds if seed.steps is not None]
+    count, steps = _solved(study, trial)
     return {
         "trial": trial.number,
         **trial.values,
         "score": trial.score,
         "score_95 %": interval_text(study.record.score_interval(trial)),
-        "solved": f"{len(solved)} of {len(trial.seeds)}",
-        "steps": round(fmean(solved)) if solved else None,
+        "solved": count or None,
+        "steps": None if steps is None else round(steps),
         "return": trial.mean_return,
         "success": None if trial.success_rate is None else f"{rate_text(trial.success_rate, 1)}",
     }
@@ -181,12 +186,8 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
             further.insert(1, f"deepbots apply {path}")
         # The best of equal scores was chosen by too few starts.
         if len(ranked) == 1 or ranked[1].score != best.score:
-            settings = " ".join(
-                f"--set {shell_word(text)}" for text in (*study.record.set, *best.assignments)
-            )
-            further.append(
-                f"deepbots train {shell_word(study.record.source)} {settings} --seeds {unused_seeds(study)}"
-            )
+            command = study.record.training_command(best.assignments, unused_seeds(study))
+            further.append(" ".join(map(shell_word, command)))
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not is_done:
         raise typer.Exit(INTERRUPTED)

@@ -146,7 +146,7 @@ def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]
         single += visible if is_class else [path]
     named: dict[str, Path] = {}
     for path in single:
-        name = _readable(path.stem if path.suffix in _SUFFIXES else Path(os.path.abspath(path)).name)
+        name = _readable(path.stem if path.suffix.lower() in _SUFFIXES else Path(os.path.abspath(path)).name)
         numbers = (f"{name} ({number})" for number in count(2))
         named[next(free for free in (name, *islice(numbers, len(single))) if free not in named)] = path
     return list(named.items())
@@ -222,10 +222,13 @@ def _mark_one(
     stop: threading.Event,
 ) -> Marks:
     with tempfile.TemporaryDirectory(prefix="deepbots-marks-", ignore_cleanup_errors=True) as name:
-        folder, work = Path(name, "handed_in"), Path(name, "work")
+        folder = Path(name, "handed_in")
+        # One folder for each step, or a step that fills its own would cost the points of the others.
+        works = {step: Path(name, "work", step) for step in lesson.steps}
         try:
             folder.mkdir()
-            work.mkdir()
+            for work in works.values():
+                work.mkdir(parents=True)
             files, remarks = collect(path, folder, lesson)
         except Exception as error:  # noqa: BLE001 - libraries raise anything for damaged archives
             is_clear = isinstance(error, UsageError | OSError)
@@ -233,10 +236,10 @@ def _mark_one(
             is_full = isinstance(error, StorageError | OSError)
             steps = tuple(unfinished(*step, reason, is_open=is_full) for step in lesson.steps.items())
             return Marks(student, lesson.name, steps, refused=f"nothing is marked: {reason}")
-        request = {"lesson": str(lesson.folder.resolve()), "folder": str(files), "work": str(work)}
+        request = {"lesson": str(lesson.folder.resolve()), "folder": str(files)}
         marks = [
-            _mark_step(lesson, step, {**request, **options, "step": step}, limits, stop)
-            for step in lesson.steps
+            _mark_step(lesson, step, {**request, **options, "step": step, "work": str(work)}, limits, stop)
+            for step, work in works.items()
         ]
     return Marks(student, lesson.name, tuple(marks), remarks)
 
@@ -424,9 +427,10 @@ class Started:
         return self.folder / f"{steps[min(done, len(steps) - 1)][0]}.yaml"
 
     def check(self, workers: int = 1) -> Marks:
-        """Mark the folder, and keep the points."""
+        """Mark the folder, and keep the points; those of before if it could not be marked."""
         (marks,) = grade(self.lesson(), [(self.folder.resolve().name, self.folder)], workers=workers)
-        replace(self, points=marks.points).write()
+        if not marks.is_open:
+            replace(self, points=marks.points).write()
         return marks
 
     def shown_hints(self, step: str) -> tuple[str, ...]:
@@ -454,7 +458,9 @@ def started_in(folder: Path) -> Started | None:
     """Return the lesson that was started in a folder; None without one."""
     try:
         data = json.loads(read_at_most(folder / PROGRESS_NAME, _MAX_PROGRESS_BYTES))
-        hints = {step: count for step, count in data.get("hints", {}).items() if isinstance(count, int)}
+        hints = {
+            step: max(0, count) for step, count in data.get("hints", {}).items() if isinstance(count, int)
+        }
         return Started(folder, str(data["lesson"]), int(data.get("points", 0)), hints)
     except (OSError, OverflowError, ValueError, RecursionError, KeyError, AttributeError, TypeError):
         return None
@@ -473,10 +479,10 @@ def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
             solution.
     """
     solved = lesson.folder / (solution or START)
-    if not solved.is_dir():
+    if not solved.is_dir() or lesson.folder.resolve() not in solved.resolve().parents:
         raise UsageError(f"{lesson.folder} has no folder '{solution}'; write `--with {SOLUTION}`")
     check_folder(folder)
-    if started_in(folder.resolve().parent) is not None:
+    if any(started_in(parent) is not None for parent in folder.resolve().parents):
         raise UsageError(f"{folder} would be in the folder of another lesson; run `cd ..` first")
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(

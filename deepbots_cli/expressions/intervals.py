@@ -97,26 +97,30 @@ def multiply(a: Interval, b: Interval) -> Interval:
 def divide(a: Interval, b: Interval) -> Interval:
     if 0.0 in b:
         return EVERYTHING
-    return multiply(a, Interval(1.0 / b.high, 1.0 / b.low))
+    corners = [x / y for x in a for y in b]  # a product with 1 / y may differ from them in the last digit
+    if math.isnan(sum(corners)):
+        return multiply(a, Interval(1.0 / b.high, 1.0 / b.low))
+    return Interval(min(corners), max(corners))
 
 
 def power(a: Interval, exponent: Interval) -> Interval:
     if not exponent.is_single or not exponent.is_finite:
         return POSITIVE if a.low >= 0.0 else EVERYTHING
     n = exponent.low
-    if n < 0.0:
-        return divide(single(1.0), power(a, single(-n)))
-    # A fraction as exponent has no real value below 0.
+    # A fraction as exponent has no real value below 0. For a base below 0, an even power falls; over the
+    # absolute value it only rises.
     if not n.is_integer():
-        return apply_monotone(lambda x: math.pow(x, n), Interval(max(a.low, 0.0), max(a.high, 0.0)))
-    # For a base below 0, an even power falls; over the absolute value it only rises.
-    if n % 2.0 == 0.0:
+        a = Interval(max(a.low, 0.0), max(a.high, 0.0))
+    elif n % 2.0 == 0.0:
         a = absolute(a)
+    if n < 0.0 and 0.0 in a:
+        return EVERYTHING
     # `math.pow` raises OverflowError; an odd power that overflows has the sign of its base.
-    return Interval(
+    ends = (
         evaluate_with_default(math.pow, a.low, n, beyond=-INF if a.low < 0.0 else INF),
         evaluate_with_default(math.pow, a.high, n, beyond=INF if a.high > 0.0 else -INF),
     )
+    return Interval(min(ends), max(ends))
 
 
 def absolute(a: Interval) -> Interval:
@@ -142,18 +146,20 @@ def logarithm(a: Interval) -> Interval:
 
 
 def sine(a: Interval) -> Interval:
+    return _wave(math.sin, math.pi / 2, a)
+
+
+def cosine(a: Interval) -> Interval:
+    return _wave(math.cos, 0.0, a)
+
+
+def _wave(function: Callable[[float], float], peak: float, a: Interval) -> Interval:
     """Return the values at both ends, and the peaks and troughs between them."""
     # At 1e6, neighboring doubles are 1e-10 apart, and `_passes` loses digits.
     if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
-    ends = (math.sin(a.low), math.sin(a.high))
-    return Interval(
-        -1.0 if _passes(a, -math.pi / 2) else min(ends), 1.0 if _passes(a, math.pi / 2) else max(ends)
-    )
-
-
-def cosine(a: Interval) -> Interval:
-    return sine(Interval(a.low + math.pi / 2, a.high + math.pi / 2)) if a.is_finite else SIGNED_UNIT
+    ends = (function(a.low), function(a.high))
+    return Interval(-1.0 if _passes(a, peak - math.pi) else min(ends), 1.0 if _passes(a, peak) else max(ends))
 
 
 def tangent(a: Interval) -> Interval:
@@ -168,7 +174,9 @@ def _passes(a: Interval, angle: float) -> bool:
 
 
 def wrap_angle(a: Interval) -> Interval:
-    return a if a.is_within(TURN) and a.low > -math.pi else TURN  # -pi becomes pi
+    if not a.is_within(TURN) or a.low == -math.pi:  # -pi becomes pi
+        return TURN
+    return Interval(*(math.pi - (math.pi - end) % math.tau for end in a))  # as `formulas.wrap_angle` rounds
 
 
 def minimum(*intervals: Interval) -> Interval:

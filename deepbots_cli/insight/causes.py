@@ -319,7 +319,7 @@ def script_succeeds(evidence: TrainingEvidence) -> Numbers | None:
 def teacher_fails(evidence: TrainingEvidence) -> Numbers | None:
     script, policy, solved = _teacher_rate(evidence), evidence.policy_rate, evidence.program.agent.solved
     required = _GOOD_TEACHER if solved is None or solved.success_rate is None else solved.success_rate
-    if min(script.episodes, policy.episodes) < MIN_EPISODES or script.high >= max(required, _GOOD_TEACHER):
+    if min(script.episodes, policy.episodes) < MIN_EPISODES or script.high >= required:
         return None
     if policy.rate < _AS_GOOD * script.rate or policy.rate >= required:
         return None

@@ -28,7 +28,7 @@ from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 
 _MAX_SUGGESTIONS = 4
 _PLAIN = re.compile(
-    r"((?:urdf \* )?[-+]?)(\d+(?:_\d+)*(?:\.\d+(?:_\d+)*)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^() ]*)?"
+    r"((?:urdf \* )?[-+]?)(\d+(?:_\d+)*(?:\.\d+(?:_\d+)*)?(?:[eE][-+]?\d+)?)( *[A-Za-z%][\w*/^()]*)?"
 )
 """A number with its unit, or a factor of the value in the robot file. Formulas and draws are not
 multiplied."""
@@ -139,10 +139,10 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     """Return the changes of links, joints and parameters that a phrase names."""
     words, asked = _words(phrase), properties(phrase)
     change = _change(phrase)
-    named = list(_parts(checked, words | asked, change))
+    named = list(_parts(checked, words, asked, change))
     if change is not None and not change.unit:
         named += (
-            _length_of_training(checked, words, change.amount)
+            _length_of_training(checked, asked, change.amount)
             if words & _OF_LEARNING
             else _parameters(checked, words, asked, change.amount)
         )
@@ -211,13 +211,15 @@ def _words(text: str) -> set[str]:
     return {word.lower() for word in _WORD.findall(text)}
 
 
-def _parts(checked: CheckedScenario, words: set[str], change: _Change | None) -> Iterator[Suggestion]:
+def _parts(
+    checked: CheckedScenario, words: set[str], asked: set[str], change: _Change | None
+) -> Iterator[Suggestion]:
     """Yield the links and joints that the words name, with the change of the mass or the size of a link."""
     root = checked.document.root
     for robot in (checked.robots or {}).values():
         for link, row in zip(robot.model.links, link_rows(robot.model), strict=True):
             if _words(link.name) <= words:
-                key = "mass" if "mass" in words or (change and change.unit == "mass") else "scale"
+                key = "mass" if "mass" in words | asked or (change and change.unit == "mass") else "scale"
                 path = ("robots", robot.name, "links", link.name, key)
                 node = node_at(root, *path)
                 written = node.text if isinstance(node, ScalarNode) else ""
@@ -225,7 +227,7 @@ def _parts(checked: CheckedScenario, words: set[str], change: _Change | None) ->
                 value = (
                     ""
                     if change is None or (words - _words(link.name)) & _OF_OTHER_KEYS
-                    else _value_of_link(link, key, written, words, change)
+                    else _value_of_link(link, key, written, words | asked, change)
                 )
                 yield Suggestion(text, ".".join(path), value)
         for joint in robot.model.moving_joints:
@@ -269,11 +271,11 @@ def _parameters(
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
 
 
-def _length_of_training(checked: CheckedScenario, words: set[str], factor: float) -> Iterator[Suggestion]:
+def _length_of_training(checked: CheckedScenario, asked: set[str], factor: float) -> Iterator[Suggestion]:
     """Yield the timesteps of the training, if the scenario has them and a phrase asks for a longer or a
     shorter one."""
     node = node_at(checked.document.root, "train", "total_timesteps")
-    if isinstance(node, ScalarNode) and words & {"longer", "shorter"}:
+    if isinstance(node, ScalarNode) and asked == {"length"}:
         text = f"`total_timesteps` is the length of the training, in timesteps: {node.text}."
         yield Suggestion(text, "train.total_timesteps", _multiplied(node.text, factor, whole=True))
 

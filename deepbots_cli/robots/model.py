@@ -532,7 +532,7 @@ def with_mass(model: RobotModel, link: str, mass: float) -> RobotModel | str:
     """Return the link with `mass` kg; its inertia grows in proportion, as if the material were denser."""
     old = model.link(link)
     if old.inertial is None or old.inertial.mass <= 0:
-        return f"the mass of link {link!r} cannot be changed, because the robot file states none"
+        return f"the mass of link {link!r} cannot be changed, because {_missing(old, 'no mass')}"
     if not (math.isfinite(mass) and mass > 0):
         return f"the mass of link {link!r} must be above 0"
     tensor = scaled_matrix(old.inertial.matrix, mass / old.inertial.mass)
@@ -544,7 +544,7 @@ def with_center(model: RobotModel, link: str, offset: Vector) -> RobotModel | st
     stays."""
     old = model.link(link)
     if old.inertial is None or old.inertial.mass <= 0:
-        return f"the center of mass of link {link!r} cannot be moved, because the robot file states no mass"
+        return f"the center of mass of link {link!r} cannot be moved, because {_missing(old, 'no mass')}"
     origin = replace(old.inertial.origin, xyz=frames.add(old.inertial.origin.xyz, offset))
     return with_link(model, replace(old, inertial=replace(old.inertial, origin=origin)))
 
@@ -553,9 +553,16 @@ def with_inertia(model: RobotModel, link: str, factor: float) -> RobotModel | st
     """Return the link with its inertia about the center of mass multiplied by `factor`; the mass stays."""
     old = model.link(link)
     if old.inertial is None or not old.inertial.is_stated:
-        return f"the inertia of link {link!r} cannot be scaled, because the robot file states none"
+        return f"the inertia of link {link!r} cannot be scaled, because {_missing(old, 'none')}"
     tensor = scaled_matrix(old.inertial.matrix, factor)
     return with_link(model, replace(old, inertial=_with_matrix(old.inertial, tensor)))
+
+
+def _missing(link: Link, absent: str) -> str:
+    """Return the reason why a link has no inertial that can be changed."""
+    if link.density is None:
+        return f"the robot file states {absent}"
+    return "a `density` gives the mass of a mesh only when it is simulated; write `mass` in its place"
 
 
 def with_density(model: RobotModel, link: str, density: float) -> RobotModel | str:

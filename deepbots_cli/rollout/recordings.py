@@ -347,7 +347,7 @@ class RobotLog:
             info = decode(description)
             files = {safe_name(name): content for name, content in files.items()}
             notes: list[str] = []
-            episodes = list(_logged_episodes(read_log(path), notes.append))
+            episodes = list(_logged_episodes(read_log(path, notes.append), notes.append))
             if not episodes:
                 raise RecordingError(f"{path} contains no step: the robot sent no complete set of values")
             # The folder is made last, so that a log that cannot be read leaves none behind.

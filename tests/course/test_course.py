@@ -362,7 +362,7 @@ def test_students_are_named_by_their_files(lesson: Lesson, tmp_path: Path) -> No
     put(handed_in / "ada", mend=STEP % "1")
     (handed_in / "lea").symlink_to(handed_in / "ada")
     archive(handed_in / "ada.zip", {})
-    archive(handed_in / "José ß.zip", {})
+    archive(handed_in / "José ß.ZIP", {})
     (handed_in / ".DS_Store").touch()
     (handed_in / "notes.txt").touch()
     assert [name for name, _ in hand_ins_of(lesson, [handed_in])] == [
@@ -818,7 +818,10 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     deepbots("course", "start", lesson.folder, tmp_path / "solved", "--with", "solution")
     assert (tmp_path / "solved" / "mend.yaml").read_text() == STEP % "1"
     assert "is not empty" in deepbots("course", "start", lesson.folder, own, code=2).err
-    assert "run `cd ..` first" in deepbots("course", "start", lesson.folder, own / "inner", code=2).err
+    for inner in (own / "inner", own / "far" / "inner"):
+        assert "run `cd ..` first" in deepbots("course", "start", lesson.folder, inner, code=2).err
+    out = deepbots("course", "start", lesson.folder, tmp_path / "out", "--with", "..", code=2).err
+    assert "has no folder '..'" in out
     put(own, mend=STEP % "1", answers="length: 35 cm\nfair: maybe\n")
     checked = deepbots("course", "check", own, code=1)
     assert "lesson 1 Small: 4 of 7 points" in checked.out
@@ -828,7 +831,10 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     assert hints == ["first", "second", "second"]
     assert json.loads(deepbots("course", "hint", own, "--step", "mend", "--json").out)["number"] == 2
     assert "--step does not go with check" in deepbots("course", "check", own, "--step", "mend", code=2).err
-    assert json.loads((own / "course.json").read_text())["points"] == 4
+    progress = json.loads((own / "course.json").read_text())
+    assert progress["points"] == 4
+    (own / "course.json").write_text(json.dumps({**progress, "hints": {"mend": -9}}))
+    assert deepbots("course", "hint", own, "--step", "mend").out.split()[-1] == "first"
 
 
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(

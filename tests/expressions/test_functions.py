@@ -28,6 +28,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from deepbots_cli import api, arrays
+from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.functions import FUNCTIONS, OPERATORS, Family, scalar_function
 from deepbots_cli.expressions.intervals import Interval
 from deepbots_cli.expressions.lower import constant_values, lower, stream_name
@@ -761,3 +762,15 @@ def test_a_memory_of_a_vector_keeps_each_component_apart(kind, arguments):
 )
 def test_an_angle_of_half_a_turn_is_in_the_interval_of_its_function(name, arguments, value):
     assert value in FUNCTIONS[name].interval(*arguments)
+
+
+_TENTHS = st.integers(-60, 60).map(lambda tenths: tenths / 10)
+
+
+@given(_TENTHS, _TENTHS.filter(bool), st.integers(-3, 3).map(float))
+def test_the_value_at_an_end_is_in_the_interval_to_the_last_digit(x, y, power):
+    around = Interval(min(x, 0.0), max(x, 0.0))
+    assert x / y in iv.divide(around, iv.single(y))
+    assert math.cos(x) in iv.cosine(around)
+    assert formulas.wrap_angle(x) in iv.wrap_angle(around)
+    assert y**power in iv.power(Interval(min(y, 1.5 * y), max(y, 1.5 * y)), iv.single(power))

@@ -567,6 +567,11 @@ CASES: dict[str, Case] = {
     "a teacher that succeeds": Case(
         TEACHER, {**PUPIL, "teacher__success_rate": [1.0]}, lacks=["teacher_fails"]
     ),
+    "a teacher that meets a low bar": Case(
+        (*TEACHER, "solved=success_rate >= 60 % over 20 episodes"),
+        {**PUPIL, "teacher__success_rate": [0.55]},
+        lacks=["teacher_fails"],
+    ),
     "a pupil that is worse than a poor teacher": Case(
         TEACHER,
         {**PUPIL, "teacher__success_rate": [0.55]},

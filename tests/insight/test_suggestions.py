@@ -45,6 +45,7 @@ PARTS = {
     "how do I make the training longer": ("train.total_timesteps", "150_000"),
     "make the training half as long, shorter": ("train.total_timesteps", "50_000"),
     "make the training 3 times shorter": ("train.total_timesteps", "33_333"),
+    "train for half as long": ("train.total_timesteps", "50_000"),
     "make the pole 1,000 g": (_MASS, "1 kg"),
     "make the wheels twice as slow": ("parameters.wheel_speed", "2.5 rad/s"),
 }
@@ -138,3 +139,8 @@ def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_p
             expected = (amount[1] if grows else 1 / amount[1]) ** np.array(words[4], float)
             assert not after.findings.errors
             assert ratios == pytest.approx(expected, rel=1e-4)
+
+
+def test_a_formula_is_not_multiplied() -> None:
+    speed = "1 rad/s if 1 > 2 else 2 rad/s"
+    assert _suggestions("make the cart faster", f"parameters.wheel_speed={speed}") == []

@@ -100,10 +100,11 @@ class StudyRecord(CampaignRecord):
         """The smallest and the largest possible score."""
         return {"solved": (0.0, 2.0), "success_rate": (0.0, 1.0), "mean_return": UNBOUNDED}[self.objective]
 
-    def training_command(self, assignments: Sequence[str]) -> list[str]:
-        """Return the command that trains a trial with these values, without a study."""
+    def training_command(self, assignments: Sequence[str], seeds: str = "") -> list[str]:
+        """Return the command that trains a trial with these values, without a study; by default with the
+        seeds of the study."""
         settings = [word for text in (*self.set, *assignments) for word in ("--set", text)]
-        seeds = ",".join(map(str, self.seeds))
+        seeds = seeds or ",".join(map(str, self.seeds))
         return [
             "deepbots",
             "train",
