@@ -18,9 +18,9 @@ from deepbots_cli.program.values import Expression
 ORDER_PRESERVING = frozenset({"running_max", "running_min", "low_pass", "hold"})
 """The functions with a memory that rise with their argument."""
 _CLOCK_NAMES = frozenset({"time", "step", "episode_return", "previous_reward"})
-_MIN_LEAD_SHARE = 0.02
-"""The share of its limit by which another ending has to hold first: a value may pass both limits within a
-step."""
+_LEAD_SHARE = 0.05
+"""The share of its limit by which an ending without precedence has to hold first: a value may pass both
+limits within a step."""
 _MAX_ENDINGS = 32
 """The number of endings up to which all pairs are compared."""
 _CONTINUOUS_FUNCTIONS = frozenset(
@@ -255,33 +255,30 @@ def shadowed_endings(analysis: RangeAnalysis) -> Mapping[Expression, Expression]
     ]
     shadowed: dict[Expression, Expression] = {}
     for late in endings if 1 < len(endings) <= _MAX_ENDINGS else ():
-        other_endings = [
-            ending
-            for ending in endings
-            if ending is not late and (late.name in success or ending.name not in success)
-        ]
-        for comparison in comparisons(analysis, late, ["and"]) if other_endings else ():
+        for comparison in comparisons(analysis, late, ["and"]):
             for threshold in thresholds(comparison, ranges):
                 if not threshold.now or not _is_gradual(analysis, threshold.quantity):
                     continue
-                ahead = threshold.limit - (1.0 if threshold.above else -1.0) * _MIN_LEAD_SHARE * abs(
-                    threshold.limit
-                )
-                late_ranges = ranges.where(
-                    analysis.identity(threshold.quantity),
-                    Interval(ahead, INF) if threshold.above else Interval(-INF, ahead),
-                )
-                first = next(
-                    (
-                        ending
-                        for ending in other_endings
-                        if late_ranges.of(analysis.scalars(ending)[0]) == ALWAYS
-                    ),
-                    None,
-                )
-                if first is not None:
-                    shadowed.setdefault(late, first)
+                leads = (0.0, _LEAD_SHARE * abs(threshold.limit))
+                late_ranges = [_beyond(threshold, lead, ranges) for lead in leads]
+                for ending in endings:
+                    if ending is late or (ending.name in success and late.name not in success):
+                        continue
+                    is_failure_first = late.name in success and ending.name not in success
+                    has_precedence = is_failure_first or endings.index(ending) < endings.index(late)
+                    if not has_precedence and threshold.limit == 0.0:
+                        continue
+                    if late_ranges[not has_precedence].of(analysis.scalars(ending)[0]) == ALWAYS:
+                        shadowed.setdefault(late, ending)
     return shadowed
+
+
+def _beyond(threshold: Threshold, lead: float, ranges: Ranges) -> Ranges:
+    """Return the ranges where a quantity is beyond its limit, or closer to it than `lead`."""
+    side = (
+        Interval(threshold.limit - lead, INF) if threshold.above else Interval(-INF, threshold.limit + lead)
+    )
+    return ranges.where(ranges.analysis.identity(threshold.quantity), side)
 
 
 def _is_gradual(analysis: RangeAnalysis, quantity: Scalar) -> bool:

@@ -216,7 +216,7 @@ def _best_text(study: Study, ranked: Sequence[StudyTrial]) -> str:
     if over_first.is_clear:
         return f"{text}; it is clearly better than {reference}"
     if difference.interval is None:
-        why = "one seed does not show it"
+        why = "one seed, or a few with equal scores, do not show it"
     else:
         interval = interval_text(difference.interval)
         why = f"the interval of the difference, {interval} for {len(ranked)} trials, contains 0"

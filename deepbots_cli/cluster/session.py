@@ -283,7 +283,6 @@ class RemoteShards:
         self._permissions = permissions
         self._worlds = worlds
         self._note = note
-        self._wanted = min(pool.workers, len(worlds))
         self._workers: dict[int, Any] = {}
         self._homes: list[int | None] = [None] * len(worlds)
         """The worker of each shard; None after it was lost."""
@@ -382,8 +381,8 @@ class RemoteShards:
         Raises:
             UsageError: A worker does not see the run, or has other versions.
         """
-        missing = self._wanted - len(self._workers)
-        if not missing or (self._workers and time.monotonic() < self._next_start):
+        missing = min(self._pool.workers, len(self._worlds)) - len(self._workers)
+        if missing <= 0 or (self._workers and time.monotonic() < self._next_start):
             return
         waiting = self._start_missing(missing)
         while not self._workers and not self._pool.wait(waiting, timeout_s=_READY_TIMEOUT_S):

@@ -108,7 +108,7 @@ class Marks:
         lost = (
             _readable(f"{step.step}: {step.common_reason}")
             for step in self.steps
-            if step.common_reason and not self.refused
+            if step.common_reason and not step.points and not self.refused
         )
         return tuple(dict.fromkeys((*self.copies, *self.all_remarks, *lost)))
 

@@ -193,6 +193,8 @@ def _change(phrase: str) -> _Change | None:
         return None
     number, unit = amounts[0].groups() if amounts else _USUAL
     amount, rest = float(number.replace(",", "")), _words(_AMOUNT.sub(" ", text))
+    if rest & {"percent", "times"}:  # of a number in words that is not read
+        return None
     if unit in _UNITS:
         name, size = _UNITS[unit]
         return None if is_compared or is_low or asked - {name} else _Change(amount * size, name, rest)

@@ -204,7 +204,7 @@ class GroupDifference:
             return f"{sides} cannot be compared, because returns do not mean the same ({paths} differ)"
         difference: Difference = getattr(self, compared)
         if difference.interval is None:
-            reason = "a group with one run has no interval; train more seeds"
+            reason = "one run, or a few of equal scores, have no interval; train more seeds"
             if not self.between_seeds:
                 reason = "a single episode has no interval; evaluate more of them with --episodes N"
             return f"{sides} cannot be compared, because {reason}"

@@ -9,7 +9,6 @@ import io
 import shutil
 import struct
 import weakref
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import groupby, islice
@@ -35,6 +34,7 @@ _MAX_FILE = 1 << 28
 _MAX_RECORD = 1 << 26
 _MAX_CONTENT = 1 << 29
 _MAX_INPUTS = 1000
+_MAX_LISTED = 12
 _RECORD_OVERHEAD_BYTES = 100
 """The number of bytes that a record takes in memory besides its content, because even a chunk of empty
 records can exhaust the memory."""
@@ -101,7 +101,8 @@ class Recording:
                 "use the version that recorded it"
             )
         if "resolved.yaml" not in files or not steps:
-            raise RecordingError(f"{path} is damaged: it contains no {'episode' if files else 'scenario'}")
+            missing = "episode" if "resolved.yaml" in files else "scenario"
+            raise RecordingError(f"{path} is damaged: it contains no {missing}")
         recording = Recording(path, metadata, list(_episodes(path, steps)), scenario_folder(path, files))
         # finalize also runs when the interpreter exits, at which `__del__` may not be called.
         weakref.finalize(recording, shutil.rmtree, recording.folder, ignore_errors=True)
@@ -116,8 +117,9 @@ class Recording:
         numbered = next((episode for episode in self.episodes if episode.number == number), None)
         if numbered is None:
             numbers = [episode.number for episode in self.episodes]
-            listed = str(numbers[0]) if len(numbers) == 1 else f"{min(numbers)} to {max(numbers)}"
-            raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}")
+            listed = ", ".join(map(str, numbers[:_MAX_LISTED]))
+            more = f" and {len(numbers) - _MAX_LISTED} more" if len(numbers) > _MAX_LISTED else ""
+            raise UsageError(f"{self.path} contains no episode {number}; it contains {listed}{more}")
         return numbered
 
 
@@ -402,6 +404,8 @@ def is_robot_log(path: Path) -> bool:
         from mcap.stream_reader import StreamReader
     except ModuleNotFoundError:
         return False
+    if not path.is_file():  # opening a pipe waits for ever
+        return False
     try:
         with path.open("rb") as file:
             # The log of a robot has its metadata first, so neither later records nor large ones are read.
@@ -416,32 +420,35 @@ def is_robot_log(path: Path) -> bool:
 def _logged_episodes(
     messages: Iterator[tuple[str, float, dict[str, Any]]], note: Callable[[str], object]
 ) -> Iterator[LoggedEpisode]:
-    """Yield the episodes with a step. They have the numbers of the log, or their places if a number occurs
-    twice. Calls `note` if there are more than `MAX_LOGGED_STEPS` steps, of which the others are left out."""
-    episodes: list[tuple[int, list[LoggedStep]]] = []
+    """Yield the episodes with a step; their numbers are their places in the log, since a robot that restarts
+    counts from the start. Calls `note` if there are more than `MAX_LOGGED_STEPS` steps, of which the others are
+    left out."""
+    episodes: list[list[dict[str, Any]]] = []
     begun = 0.0
     events: list[str] = []
     count = 0
     for topic, stamp, content in messages:
         kind, text = (str(content.get(key, "")) for key in ("kind", "text"))
-        if topic == "/event" and kind == "episode":
-            episodes.append((int(text) if text.isdecimal() else 0, []))
+        if topic == "/event" and kind == "episode" and text.isdecimal():
+            if episodes and episodes[-1]:
+                episodes[-1][-1]["events"] += events
+                events = []
+            episodes.append([])
             begun = stamp
-            events = []
         elif topic == "/event":
             events.append(f"{EVENT_PREFIXES.get(kind, '')}{text}"[:200])
         elif topic == "/step":
             if not episodes:
-                episodes.append((0, []))
+                episodes.append([])
                 begun = stamp
             count += 1
             if count > MAX_LOGGED_STEPS:
                 note(f"the log is longer than {MAX_LOGGED_STEPS:,} steps; later steps are left out")
                 break
-            content = {"ages": {}, **content, "time": max(0.0, stamp - begun), "events": events}
-            episodes[-1][1].append(msgspec.convert(content, LoggedStep))
+            episodes[-1].append({"ages": {}, **content, "time": max(0.0, stamp - begun), "events": events})
             events = []
-    numbers = Counter(number for number, steps in episodes if steps)
-    twice = any(times > 1 for times in numbers.values())
-    for index, (number, steps) in enumerate([episode for episode in episodes if episode[1]]):
-        yield LoggedEpisode(index if twice else number, steps)
+    if episodes and episodes[-1]:
+        episodes[-1][-1]["events"] += events
+    for number, steps in enumerate(episodes):
+        if steps:
+            yield LoggedEpisode(number, [msgspec.convert(step, LoggedStep) for step in steps])

@@ -47,19 +47,19 @@ class SearchSpace(BaseModel):
             return value
         if self.whole:
             return str(round(value))
-        size = abs(value) if self.log else self.high - self.low
-        rounded = round(value, _DIGITS - 1 - math.floor(math.log10(size)))
+        width = self.high - self.low
+        size = abs(value) if self.log else min(abs(value) or width, width)
+        is_end = value in (self.low, self.high)
+        rounded = value if is_end else round(value, _DIGITS - 1 - math.floor(math.log10(size)))
         return f"{min(max(rounded, self.low), self.high):.12g} {self.unit}".rstrip()
 
     def value_of(self, text: str) -> float | str | None:
         """Return the value that a text writes; None if it is none of these."""
         if self.choices:
-            return text if text in self.choices else None
-        try:
-            tree, unit = (Parsed.tree(expression) for expression in (text, f"1 {self.unit}"))
-        except PydanticCustomError:
-            return None
-        if not isinstance(tree, Number) or not isinstance(unit, Number):
+            same = (choice for choice in self.choices if choice == text or _is_same_number(choice, text))
+            return next(same, None)
+        tree, unit = _number(text), _number(f"1 {self.unit}")
+        if tree is None or unit is None:
             return None
         value = _converted(tree, unit.unit or ONE)
         return (
@@ -112,6 +112,21 @@ def read_range(text: str) -> SearchSpace:
     return SearchSpace(
         low=start, high=float(high.value), unit=high.unit.text if high.unit else "", log=marked is not None
     )
+
+
+def _number(text: str) -> Number | None:
+    try:
+        tree = Parsed.tree(text)
+    except PydanticCustomError:
+        return None
+    return tree if isinstance(tree, Number) else None
+
+
+def _is_same_number(text: str, other: str) -> bool:
+    number, other_number = _number(text), _number(other)
+    if number is None or other_number is None:
+        return False
+    return _converted(other_number, number.unit or ONE) == number.value
 
 
 def _converted(number: Number, unit: Unit) -> float | None:

@@ -442,7 +442,7 @@ def test_an_argument_that_is_not_an_episode_is_refused_in_a_sentence(recording, 
         ([tmp_path], "is not a run"),
         (["nothing.mcap"], "no file, folder or shipped scenario"),
         (["nothing.json"], "is missing"),
-        ([recording, "--episode", "9"], "contains no episode 9; it contains 0 to 1"),
+        ([recording, "--episode", "9"], "contains no episode 9; it contains 0, 1"),
         ([tmp_path / "cut0.3.mcap"], "cut short or damaged"),
         ([tmp_path / "cut0.9.mcap"], "cut short or damaged"),
     ):

@@ -141,6 +141,11 @@ def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_p
             assert ratios == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.parametrize("phrase", ["make the pole twenty percent longer", "a pole eleven times heavier"])
+def test_a_number_in_words_that_is_not_read_changes_nothing(phrase: str) -> None:
+    assert {suggestion.value for suggestion in _suggestions(phrase)} == {""}
+
+
 def test_a_formula_is_not_multiplied() -> None:
     speed = "1 rad/s if 1 > 2 else 2 rad/s"
     assert _suggestions("make the cart faster", f"parameters.wheel_speed={speed}") == []

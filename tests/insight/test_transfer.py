@@ -685,6 +685,29 @@ def test_episodes_of_a_robot_that_restarts_have_numbers_of_their_own(tmp_path: P
     ]
 
 
+def test_a_page_and_a_diagnosis_of_a_log_have_the_same_episodes_and_events(
+    attached: dict[str, bytes], tmp_path: Path
+) -> None:
+    from deepbots_robot.log import LogWriter
+
+    path = tmp_path / "log.mcap"
+    writer = LogWriter(path, {}, clock=lambda: 0.0, files=attached)
+    writer.event(9.0, "remark", "no calibration")
+    for number, kinds in ((3, ["refused"]), (4, ["safe", "remark"])):
+        begun = 10.0 * number
+        writer.event(begun, "episode", str(number))
+        writer.step(begun + 1.0, {}, {"cart.wheels": np.zeros(4)}, 0.002, "policy")
+        for kind in kinds:
+            writer.event(begun + 2.0, kind, f"{kind} {number}")
+    writer.close()
+    seen = [
+        (episode.number, sum(len(step.events) for step in episode.steps))
+        for episode in RobotLog.read(path).episodes
+    ]
+    assert seen == [(episode.number, len(episode.events)) for episode in logged_episodes(path)]
+    assert seen == [(0, 2), (1, 2)]
+
+
 @pytest.mark.slow
 def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, deepbots: Deepbots) -> None:
     whole = logged(run, tmp_path / "whole.mcap", lambda time, angle: angle)
@@ -709,18 +732,25 @@ def test_a_log_that_a_kill_cut_is_used_with_a_note(run: Run, tmp_path: Path, dee
 
 
 @pytest.fixture(scope="module")
-def cut_log(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log with a step in each of two episodes, then silence; the process was killed."""
+def attached(run: Run, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The files of a bundle, as a server attaches them to its log."""
     from deepbots_cli.insight.export.bundle import bundle_files
     from deepbots_robot.bundle import load
-    from deepbots_robot.log import LogWriter
 
     folder = tmp_path_factory.mktemp("bundle")
     for name, content in bundle_files(run, "best").items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
+    return load(folder).description()
+
+
+@pytest.fixture(scope="module")
+def cut_log(attached: dict[str, bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with a step in each of two episodes, then silence; the process was killed."""
+    from deepbots_robot.log import LogWriter
+
     path = tmp_path_factory.mktemp("logs") / "killed.mcap"
-    writer = LogWriter(path, {}, clock=lambda: 0.0, files=load(folder).description())
+    writer = LogWriter(path, {}, clock=lambda: 0.0, files=attached)
     values = {
         "position(cart)": np.array([0.3, 0.1, 0.04]),
         "cart.pole_angle": np.array([0.2]),
@@ -796,7 +826,8 @@ def test_the_page_plays_a_log_that_was_cut_up_to_its_last_whole_step(cut_log: Pa
 def test_steps_beyond_the_limit_are_left_out_with_a_note(
     cut_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert RobotLog.read(cut_log).notes == ()
+    (note,) = RobotLog.read(cut_log).notes
+    assert "has no end: its process was killed" in note
     monkeypatch.setattr(recordings, "MAX_LOGGED_STEPS", 4)
     log = RobotLog.read(cut_log)
     assert [len(episode.steps) for episode in log.episodes] == [3, 1]

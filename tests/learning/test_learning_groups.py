@@ -708,7 +708,7 @@ def test_a_comparison_of_one_episode_asks_for_more_episodes_and_not_for_more_see
         " --episodes N"
     )
     assert replace(between_runs, between_seeds=True).verdict.endswith(
-        "a group with one run has no interval; train more seeds"
+        "one run, or a few of equal scores, have no interval; train more seeds"
     )
 
 

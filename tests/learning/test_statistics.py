@@ -294,6 +294,12 @@ def test_one_run_each_has_a_difference_without_an_interval():
     assert comparison.certain is False
 
 
+def test_groups_without_any_spread_differ_only_if_a_permutation_test_separates_them():
+    few, enough = (stats.compare_seeds([0.5] * seeds, [0.6] * seeds) for seeds in (3, 4))
+    assert (few.interval, few.certain, enough.certain) == (None, False, True)
+    assert not stats.compare_seeds([0.5] * 4, [0.6] * 4, error=0.05 / 19).certain
+
+
 @pytest.mark.parametrize("rate", [0.5, 0.9, 0.95])
 def test_so_many_successes_are_needed_to_be_above_a_rate(rate: float) -> None:
     """`robustness --episodes 20` called every level "not significant" for 90 %, and did not say that 35 are

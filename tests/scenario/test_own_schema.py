@@ -400,10 +400,13 @@ def test_a_value_is_rounded_and_stays_in_its_range():
         "0.99998 m",
     ]
     assert SearchSpace(low=1e-5, high=1e-2, log=True).text(0.000123456) == "0.0001235"
+    assert SearchSpace(low=0, high=10).text(0.005) == "0.005"
 
 
 def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():
     assert SearchSpace(low=10, high=20, unit="deg").value_of("15 deg") == 15
+    assert SearchSpace(choices=("0.005", "1e-3")).value_of("5e-3") == "0.005"
+    assert SearchSpace(choices=("10 deg", "on")).value_of("off") is None
     space = SearchSpace(low=0.1, high=0.5, unit="m")
     assert list(map(space.value_of, ("39 cm", "0.7 m", "uniform(0.1 .. 0.2 m)"))) == [0.39, None, None]
     assert SearchSpace(choices=("tanh", "relu")).value_of("relu") == "relu"

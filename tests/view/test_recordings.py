@@ -367,7 +367,7 @@ def test_options_and_files_of_the_command(tmp_path, monkeypatch, deepbots, find_
     assert [episode["episode"] for episode in recording["episodes"]] == [0, 1]
     assert "two.mcap already exists" in deepbots("render", "cartpole", "-o", "two.mcap", code=2).err
     assert (
-        "contains no episode 7; it contains 2 to 3"
+        "contains no episode 7; it contains 2, 3"
         in deepbots("render", find_ball[0], "--episode", "7", "--output", "x.gif", code=2).err
     )
     assert json.loads(deepbots("replay", "two.mcap", "--json").out)["scenario"] == "CartPole"
@@ -644,7 +644,7 @@ def test_the_pictures_of_a_recording_have_the_numbers_of_its_episodes(deepbots, 
     assert [each["episodes"][0]["episode"] for each in both] == [2, 3]
     for options, message in (
         (["--seed", "7"], "already contains its seeds; leave out --seed"),
-        (["--episode", "0"], "contains no episode 0; it contains 2 to 3"),
+        (["--episode", "0"], "contains no episode 0; it contains 2, 3"),
         (["--episodes", "3"], "contains 2 episodes; write --episodes 2 or less"),
         (["--episode", "3", "--episodes", "2"], "contains 1 episode from episode 3 on; write --episodes 1"),
     ):

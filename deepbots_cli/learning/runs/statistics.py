@@ -271,7 +271,8 @@ def gate_mean(
 class Difference:
     """The second of two groups against the first: `mean` is the difference of their means, with its interval.
 
-    `interval` is None where a group has one run only and episodes cannot be paired. `improvement` is the
+    `interval` is None where a group has one run only and episodes cannot be paired, and where scores without
+    any spread are too few. `improvement` is the
     probability that a run of the second group scores higher than one of the first; equal scores count half.
     """
 
@@ -291,7 +292,8 @@ def compare_seeds(
     """Compare two groups of runs by one score per seed: Welch's interval of the difference of their means (B.
     L. Welch, Biometrika 34, 1947).
 
-    The interval is cut at the largest difference that the `bounds` of a score allow. The seeds of both groups
+    The interval is cut at the largest difference that the `bounds` of a score allow. Equal scores of all seeds
+    of each group have none unless a permutation test separates the groups. The seeds of both groups
     are independent, also where they have the same numbers: two trainings diverge after the first update.
     `error` is the probability that the interval misses the true difference.
     """
@@ -301,9 +303,11 @@ def compare_seeds(
         return Difference(mean, None, improvement)
     parts = [variance(group) / len(group) for group in (first, second)]
     standard_error = math.sqrt(sum(parts))
-    # Without any spread the degrees of freedom below are 0 / 0.
+    # Without any spread the degrees of freedom below are 0 / 0. Of all ways to divide the scores into two such
+    # groups, two separate them: a permutation test.
     if standard_error == 0:
-        return Difference(mean, (mean, mean), improvement)
+        is_clear = mean == 0 or 2 / math.comb(len(first) + len(second), len(first)) <= error
+        return Difference(mean, (mean, mean) if is_clear else None, improvement)
     # The Welch-Satterthwaite equation (F. E. Satterthwaite, Biometrics Bulletin 2, 1946, p. 110).
     freedom = sum(parts) ** 2 / sum(
         part * part / (len(group) - 1) for part, group in zip(parts, (first, second), strict=True)
