@@ -871,10 +871,9 @@ def a_case_that_sets_what_is_set_is_the_scenario(case: Case) -> None:
 # Fixes
 
 _DAMAGES = {
-    "unit": (
-        r"(?<![\w.])(\d[\d_.]*) [a-z]\w*(?![\w/*^])",
-        (r"\1", r"\1 kg", r"\1 degrees", r"\1 meter", r"\1 sec"),
-    ),
+    "unit": (r"(?<![\w.])(\d[\d_.]*) [a-z]\w*(?![\w/*^])", (r"\1", r"\1 kg", r"\1 degrees")),
+    "second": (r"(?<=\d )s\b(?![\w/*^])", ("sec", "seconds")),  # of `20 ms`, `20 sec` would be another time
+    "meter": (r"(?<=\d )m\b(?![\w/*^])", ("meter",)),
     "name": (
         r"(?<!\d )(?<!\w)([a-z_])([a-z_0-9])([a-z_0-9]{2,})",
         (r"\1\3", r"\1\2\2\3", r"\2\1\3", r"\1_\2\3"),
