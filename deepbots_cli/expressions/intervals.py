@@ -217,6 +217,8 @@ def atan2(y: Interval, x: Interval) -> Interval:
     """Return the angle of the point (x, y), without the half planes where the point cannot lie."""
     if y.low < 0.0 or (y.low == 0.0 and x.low < 0.0):  # the angle of (-1, -0.0) is -pi
         return QUARTER_TURNS if x.low >= 0.0 else TURN
+    if y == x == ZERO:
+        return TURN  # the angle of (-0.0, 0.0) is pi
     if y == ZERO and x.low >= 0.0:
         return ZERO
     return Interval(0.0, math.pi / 2) if x.low >= 0.0 else HALF_TURN

@@ -444,7 +444,10 @@ def what_is_unused_changes_nothing(case: Case) -> None:
     shorter = case.write(case.drawn.text, "shorter.yaml")
     removed = []
     for _ in range(case.draw(st.integers(1, 3))):
-        findings = [one for one in api.lint(shorter) if one.code == "DB205" and one.fix is not None]
+        before = api.lint(shorter)
+        if any(one.severity == "error" for one in before):  # of values, which `compile` does not judge
+            reject()
+        findings = [one for one in before if one.code == "DB205" and one.fix is not None]
         # Without an action, the action space is another one.
         findings = [one for one in findings if "an action variable" not in one.headline]
         if not findings:
