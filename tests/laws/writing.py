@@ -87,7 +87,11 @@ class Meaning(NamedTuple):
 
 
 def canonical(program: Program) -> Any:
-    return json.loads(identity.to_json(program))
+    # The names of agents are sorted in the JSON, and so in another order after a renaming.
+    return json.loads(
+        identity.to_json(program),
+        object_hook=lambda part: part | {key: dict(part[key]) for key in {"drivers"} & part.keys()},
+    )
 
 
 def require_equal(actual: Any, expected: Any, place: str = "program") -> None:
@@ -101,7 +105,7 @@ def require_equal(actual: Any, expected: Any, place: str = "program") -> None:
         for number, (one, other) in enumerate(zip(actual, expected, strict=True)):
             require_equal(one, other, f"{place}[{number}]")
     else:
-        assert actual == expected, place
+        assert actual == expected, f"{place}: {str(actual)[:80]} and {str(expected)[:80]}"
 
 
 # What is written
