@@ -30,6 +30,7 @@ from deepbots_cli.document.nodes import (
     entries_at,
     node_at,
     to_data,
+    without_paths,
 )
 from deepbots_cli.document.parse import parse
 from deepbots_cli.document.syntax_hints import LOADER
@@ -473,24 +474,14 @@ def _differs_in_value(before: str, after: str, path: NodePath, value: str) -> bo
     differ too."""
     new_findings, old_findings = Findings(), Findings()
     new, old = parse(Source("", after), new_findings), parse(Source("", before), old_findings)
-    written = parse(Source("", value), Findings())
-    if new is None or written is None or len(new_findings.errors) > len(old_findings.errors):
+    node, written = node_at(new, *path), parse(Source("", value), Findings())
+    if old is None or new is None or len(new_findings.errors) > len(old_findings.errors):
         return False
-    node, data = node_at(new, *path), to_data(written)
-    is_written = node is not None and to_data(node) == data
-    expected = _with_value(to_data(old) if old is not None else {}, path, data)
-    return is_written and ("&" in before or to_data(new) == expected)
-
-
-def _with_value(data: object, path: NodePath, value: object) -> object:
-    """Return the data of a file with another value at `path`."""
-    if not path:
-        return value
-    step, below = path[0], path[1:]
-    if isinstance(data, list):
-        return [_with_value(item, below, value) if index == step else item for index, item in enumerate(data)]
-    entries = data if isinstance(data, dict) else {}
-    return {**entries, step: _with_value(entries.get(step), below, value)}
+    place = [path[: descend(old, path)[2] + 1]]  # with the sections that are new
+    is_written = None not in (node, written) and to_data(node) == to_data(written)
+    return is_written and (
+        "&" in before or to_data(without_paths(new, place)) == to_data(without_paths(old, place))
+    )
 
 
 def _alias(root: MappingNode, source: Source, path: NodePath) -> re.Match[str] | None:

@@ -56,8 +56,7 @@ class SearchSpace(BaseModel):
     def value_of(self, text: str) -> float | str | None:
         """Return the value that a text writes; None if it is none of these."""
         if self.choices:
-            same = (choice for choice in self.choices if choice == text or _is_same_number(choice, text))
-            return next(same, None)
+            return next((choice for choice in self.choices if _is_same(choice, text)), None)
         tree, unit = _number(text), _number(f"1 {self.unit}")
         if tree is None or unit is None:
             return None
@@ -122,10 +121,11 @@ def _number(text: str) -> Number | None:
     return tree if isinstance(tree, Number) else None
 
 
-def _is_same_number(text: str, other: str) -> bool:
+def _is_same(text: str, other: str) -> bool:
+    """Return whether two texts are the same, or write the same quantity."""
     number, other_number = _number(text), _number(other)
-    if number is None or other_number is None:
-        return False
+    if text == other or number is None or other_number is None:
+        return text == other
     return _converted(other_number, number.unit or ONE) == number.value
 
 
