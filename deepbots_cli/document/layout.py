@@ -475,10 +475,10 @@ def _differs_in_value(before: str, after: str, path: NodePath, value: str) -> bo
     new_findings, old_findings = Findings(), Findings()
     new, old = parse(Source("", after), new_findings), parse(Source("", before), old_findings)
     node, written = node_at(new, *path), parse(Source("", value), Findings())
-    if old is None or new is None or len(new_findings.errors) > len(old_findings.errors):
+    if not (old and new and node and len(new_findings.errors) <= len(old_findings.errors)):
         return False
     place = [path[: descend(old, path)[2] + 1]]  # with the sections that are new
-    is_written = None not in (node, written) and to_data(node) == to_data(written)
+    is_written = (node and to_data(node)) == (written and to_data(written))
     return is_written and (
         "&" in before or to_data(without_paths(new, place)) == to_data(without_paths(old, place))
     )
