@@ -478,7 +478,7 @@ def _differs_in_value(before: str, after: str, path: NodePath, value: str) -> bo
     if not (old and new and node and len(new_findings.errors) <= len(old_findings.errors)):
         return False
     place = [path[: descend(old, path)[2] + 1]]  # with the sections that are new
-    is_written = (node and to_data(node)) == (written and to_data(written))
+    is_written = to_data(node) == (written and to_data(written))
     return is_written and (
         "&" in before or to_data(without_paths(new, place)) == to_data(without_paths(old, place))
     )
