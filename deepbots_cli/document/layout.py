@@ -32,7 +32,7 @@ from deepbots_cli.document.nodes import (
     to_data,
     without_paths,
 )
-from deepbots_cli.document.parse import parse
+from deepbots_cli.document.parse import has_same_values, parse
 from deepbots_cli.document.syntax_hints import LOADER
 
 _MAX_PASSES = 6
@@ -71,14 +71,9 @@ def canonical_text(text: str) -> str | None:
             break
     else:
         return None
-    if _meaning(result) != _meaning(plain) or _comments(result) != _comments(plain):
+    if not has_same_values(Source("", plain), result) or _comments(result) != _comments(plain):
         return None
     return result.replace("\n", "\r\n") if text.partition("\n")[0].endswith("\r") else result
-
-
-def _meaning(text: str) -> object:
-    root = parse(Source("", text), Findings())
-    return root and to_data(root)
 
 
 def _comments(text: str) -> list[str]:

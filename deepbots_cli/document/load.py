@@ -444,7 +444,6 @@ def _differ(base: Node | None, over: Node | None) -> bool:
 
 # Assignments: `--set path=value`, and settings in a file (`set: {reset.layout: paper}`)
 
-_BLANK_OR_COMMENT = r"\s*(?:#.*)?"
 _CUTOFF = 0.75
 
 
@@ -464,7 +463,7 @@ def apply_assignment(
     whole = Span(source, 0, len(assignment))
     if not path.strip():
         findings.add("DB102", whole, "there is no path before the `=`", "write --set path=value")
-    elif not equals or re.fullmatch(_BLANK_OR_COMMENT, text):
+    elif not equals or re.fullmatch(r"\s*(?:#.*)?", text):
         help = "put a value that starts with `#` in quotes" if "#" in text else "write --set path=value"
         if match := re.fullmatch(r"\s*([\w.]+)\s*[: ]\s*(\S.*)", assignment):
             help = f"write an equals sign: --set {match[1]}={match[2]}"

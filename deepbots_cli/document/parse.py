@@ -48,8 +48,6 @@ Event = Any  # the stubs of PyYAML allow events without marks
 _STYLES: dict[str | None, Style] = {"'": "single", '"': "double", "|": "literal", ">": "folded"}
 _BLOCKS = ("literal", "folded")
 _ANCHOR = r"&[\w-]+(?:\s+|#[^\n]*\n)*"
-_PATTERN = r"\*_\w+"  # `*_joint`; a name without the underscore may lack its anchor
-_TAG = r"!\S*"
 # The language has no tags, and the parser takes quadratic time over these lines: 40 000 fit into 1 MiB.
 _TAG_DIRECTIVE = re.compile(r"^%TAG\b", re.MULTILINE)
 _BLOCK_HEADER = r"[^\n]*\n\s*"
@@ -173,7 +171,7 @@ class _Builder:
         """Return `node` without its tag, registered under its anchor; None if it has a tag, which is
         reported."""
         if event.tag is not None:
-            mark = re.compile(_TAG).search(self.text, event.start_mark.index)
+            mark = re.compile(r"!\S*").search(self.text, event.start_mark.index)
             span = Span(self.source, *mark.span()) if mark else self.span(event)
             self.findings.add(
                 "DB005",
@@ -194,7 +192,8 @@ class _Builder:
         if event.anchor not in self.anchors:
             name = span.text
             help = f'a leading `*` refers to an anchor; for a pattern, write "{name}" in quotes'
-            fix = Fix((Edit(span, f'"{name}"'),), safe=True) if re.fullmatch(_PATTERN, name) else None
+            # `*_joint` is a pattern; a name without the underscore may lack its anchor.
+            fix = Fix((Edit(span, f'"{name}"'),), safe=True) if re.fullmatch(r"\*_\w+", name) else None
             self.findings.add("DB001", span, f"there is no anchor for `{name}` before it", help, fix=fix)
             return None
         node = self.anchors[event.anchor]
@@ -306,9 +305,7 @@ class _Builder:
             return None
         self.count(event)
         key = self.scalar(event)
-        if self.anchored(event, key) is None:
-            return None
-        if syntax_hints.report_broken_key(key, self.findings):
+        if self.anchored(event, key) is None or syntax_hints.report_broken_key(key, self.findings):
             return None
         if key.style == "plain" and key.text == "<<":
             self.findings.add(

@@ -21,7 +21,6 @@ from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
-_NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 
 @cache
@@ -66,7 +65,7 @@ class Library(NamedTuple):
     def path(self, name: str) -> Path | None:
         """Return the file called `name` (`cartpole`), if there is one."""
         # A name with `/` would lead out of the folder; `is_file` raises OSError for more than 255 bytes.
-        if not _NAME.fullmatch(name) or len(name) > 100:
+        if not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name):
             return None
         paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
         return next((path for path in paths if path.is_file()), None)
@@ -74,6 +73,8 @@ class Library(NamedTuple):
 
 SCENARIOS = Library("scenario", _SCENARIOS)
 ROBOTS = Library("robot", _ROBOTS)
+scenario_names, scenario_path = SCENARIOS.names, SCENARIOS.path
+robot_names, robot_path = ROBOTS.names, ROBOTS.path
 
 
 def is_shipped_path(reference: str) -> bool:
@@ -96,15 +97,6 @@ def data_roots() -> tuple[Path, ...]:
     )
 
 
-def scenario_names() -> list[str]:
-    return SCENARIOS.names()
-
-
-def scenario_path(name: str) -> Path | None:
-    """Return the file of the shipped scenario called `name`, if there is one."""
-    return SCENARIOS.path(name)
-
-
 def summary_of(path: Path) -> str:
     """Return the summary of a scenario file on one line; empty without one."""
     return text_at(parse(Source(str(path), path.read_text("utf-8")), Findings()), "summary")
@@ -119,15 +111,6 @@ def shipped_summaries(*, variants: bool) -> dict[str, str]:
         for path in paths
         if (re.search(r"(?m)^extends:", path.read_text("utf-8")) is not None) is variants
     }
-
-
-def robot_names() -> list[str]:
-    return ROBOTS.names()
-
-
-def robot_path(name: str) -> Path | None:
-    """Return the URDF of the shipped robot called `name`, if there is one."""
-    return ROBOTS.path(name)
 
 
 def _names(folders: Iterable[Path], kind: str) -> list[str]:

@@ -28,8 +28,7 @@ _LINE_KEY = r"([^\s:#]+):(?=\s|$)"
 _NEXT_KEY = r"\n[ \t]*(?:- +)*[\w.]+:(?=\s)"
 _ODD_SPACE = r"[\u00a0\u2000-\u200a\u202f\u3000]"
 _ODD_INDENT = rf"(?m)^ *{_ODD_SPACE}(?: |{_ODD_SPACE})*(?=- |#|[\w.\"']+:)"
-_TAB_INDENT = r"[ ]*\t"
-_INDENT = r"[ \t]*"
+_TAB_INDENT = r" *(\t)[ \t]*"
 _NEGATED = r"[:,{\[][ \t]+!\("
 _HIDDEN_IN_BRACKETS = r"[\s\[{,](#[^\s,}\]]+)"
 GLUED = re.compile(r"[\w.]+:(?=\S)")
@@ -183,9 +182,8 @@ def _tab(problem: _Problem) -> Finding | None:
             line = problem.rest_of_line(start).strip()[:MAX_SHOWN]
             spaces = "" if above is None else " " * (above.indent + _STEP * above.opens)
             help = f"indent with spaces: `{spaces}{line}`" if spaces and line else "indent with spaces"
-            indent = re.compile(_INDENT).match(text, start)
-            fix = _indented(problem, start, indent.end() - start, len(spaces)) if indent and spaces else None
-            return problem.finding("a tab in the indentation", help, match.end() - 1, fix=fix)
+            fix = _indented(problem, start, match.end() - start, len(spaces)) if spaces else None
+            return problem.finding("a tab in the indentation", help, match.start(1), fix=fix)
     return None
 
 
