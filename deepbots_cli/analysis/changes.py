@@ -33,8 +33,6 @@ APPEARANCE_PREFIX = "look of "
 
 _PERIOD = ("world.timestep", "action_repeat", "agent.action_repeat")
 _ACTING = ("robots.", "observation.", "action.", "goal.range", "goal.noise", "agent.frame_stack", *_PERIOD)
-_RETURNS = ("reward.", "termination.", "truncation.", "goal.", *_PERIOD)
-_SUCCESS = ("termination.success.", "goal.")
 
 
 class Effect(StrEnum):
@@ -199,8 +197,8 @@ def compared_meanings(first: WrittenScenario, second: WrittenScenario) -> Meanin
     other_changes = tuple(change for change in about(_ACTING, acting) if change not in fits)
     return Meanings(
         fits + other_changes,
-        about(_RETURNS, returns),
-        about(_SUCCESS, success),
+        about(("reward.", "termination.", "truncation.", "goal.", *_PERIOD), returns),
+        about(("termination.success.", "goal."), success),
         about(("reward.",), reward),
     )
 

@@ -39,34 +39,48 @@ class ConditionComparison(NamedTuple):
 
 
 def comparisons(
-    analysis: RangeAnalysis, condition: Expression, operators: Collection[str] = ("and", "or")
+    analysis: RangeAnalysis,
+    condition: Expression,
+    operators: Collection[str] = ("and", "or"),
+    *,
+    in_durations: bool = True,
 ) -> Iterator[ConditionComparison]:
     """Yield the comparisons of which at least one must hold for the condition to hold, or all with the
-    operator `and` alone; also those within `duration(...)`."""
+    operator `and` alone; with `in_durations`, also those within `duration(...)`.
+
+    With the operator `or` alone and without durations, each of them alone makes the condition hold, as soon
+    as it is true.
+    """
     if condition.foreign is None:
-        yield from _compared(analysis, condition, condition.typed, operators, set())
+        yield from _compared(analysis, condition, condition.typed, operators, in_durations, set())
 
 
 def _compared(
-    analysis: RangeAnalysis, value: Expression, node: TypedNode, operators: Collection[str], met: set[str]
+    analysis: RangeAnalysis,
+    value: Expression,
+    node: TypedNode,
+    operators: Collection[str],
+    in_durations: bool,
+    met: set[str],
 ) -> Iterator[ConditionComparison]:
     match node:
         case Operation(operator=operator) if operator in INEQUALITIES:
             long, short = node.args if node.operator.startswith("greater") else node.args[::-1]
             is_long = (
-                isinstance(long, Invocation)
+                in_durations
+                and isinstance(long, Invocation)
                 and long.function == "duration"
                 and not isinstance(short, Invocation)
             )
             condition = long.args[0] if is_long and isinstance(long, Invocation) else None
             yield from (
-                _compared(analysis, value, condition, operators, met)
+                _compared(analysis, value, condition, operators, in_durations, met)
                 if condition
                 else (ConditionComparison(value, node),)
             )
         case Operation(operator=operator, args=args) if operator in operators:
             for arg in args:
-                yield from _compared(analysis, value, arg, operators, met)
+                yield from _compared(analysis, value, arg, operators, in_durations, met)
         case Reference(symbol=symbol) if (
             value.owner not in analysis.robot_of
             and (definition := analysis.expression_named(symbol.name)) is not None
@@ -74,29 +88,7 @@ def _compared(
         ):
             if symbol.name not in met and definition.foreign is None:
                 met.add(symbol.name)
-                yield from _compared(analysis, definition, definition.typed, operators, met)
-
-
-def deciding_comparisons(analysis: RangeAnalysis, condition: Expression) -> Iterator[ConditionComparison]:
-    """Yield the comparisons of which each one alone makes the condition hold, as soon as it is true."""
-    if condition.foreign is None:
-        yield from _deciding(analysis, condition, condition.typed, set())
-
-
-def _deciding(
-    analysis: RangeAnalysis, value: Expression, node: TypedNode, met: set[str]
-) -> Iterator[ConditionComparison]:
-    match node:
-        case Operation(operator=operator) if operator in INEQUALITIES:
-            yield ConditionComparison(value, node)
-        case Operation(operator="or", args=args):
-            for arg in args:
-                yield from _deciding(analysis, value, arg, met)
-        case Reference(symbol=symbol) if symbol.name not in met and value.owner not in analysis.robot_of:
-            met.add(symbol.name)
-            definition = analysis.expression_named(symbol.name)
-            if definition is not None and definition.foreign is None and definition.typed.type.boolean:
-                yield from _deciding(analysis, definition, definition.typed, met)
+                yield from _compared(analysis, definition, definition.typed, operators, in_durations, met)
 
 
 def only_comparison(analysis: RangeAnalysis, condition: Expression) -> ConditionComparison | None:

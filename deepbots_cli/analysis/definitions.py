@@ -32,9 +32,7 @@ from deepbots_cli.program.values import Expression
 from deepbots_cli.program.world import RobotBody
 from deepbots_cli.robots.model import Pose
 
-_DURATION_FUNCTIONS = ("duration", "integral")
 _NO_NAMES: frozenset[str] = frozenset()
-_TIME_NAMES = frozenset({"time"})
 
 
 class _CachedLowering(Lowering):
@@ -244,8 +242,8 @@ class DefinitionAnalysis:
                 return frozenset((name,)) if definition is None else self.dependencies(definition) | {name}
             case Const() | EngineRead():
                 return _NO_NAMES
-            case State(function) if function in _DURATION_FUNCTIONS:
-                return _TIME_NAMES.union(*map(self.dependencies, node.args))
+            case State(function) if function in ("duration", "integral"):
+                return frozenset({"time"}).union(*map(self.dependencies, node.args))
             case _:
                 return _NO_NAMES.union(*map(self.dependencies, node.args))
 

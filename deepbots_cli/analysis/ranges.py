@@ -37,7 +37,6 @@ from deepbots_cli.program.values import Expression
 
 _MAX_CONDITIONS = 64
 """The number of conditions of a conjunction that are compared with each other."""
-_NO_RANGES: Mapping[str, Interval] = MappingProxyType({})
 
 _BEYOND_LIMIT = (0.25, 0.05)
 """How far a joint passes each of its limits at most, in rad or m. A limit is a spring in engines: a hip of
@@ -57,7 +56,7 @@ class Ranges:
     def __init__(
         self,
         analysis: RangeAnalysis,
-        assumed: Mapping[str, Interval] = _NO_RANGES,
+        assumed: Mapping[str, Interval] = MappingProxyType({}),
         steps: tuple[float, float] | None = None,
         condition: tuple[int, Interval] | None = None,
     ) -> None:
@@ -470,7 +469,7 @@ class RewardTerms:
         ]
         self.is_complete = len(self.terms) == len(self.program.agent.reward)
         self._steps = (1.0, float(analysis.last_step))
-        self._running: dict[tuple[float, float], Ranges] = {}
+        self._running = Ranges(self.analysis, self._end_flags_at(None, truncated=False), self._steps)
         self._at: dict[Expression | None, Ranges] = {}
 
     def _with_names(self, node: Scalar) -> Scalar:
@@ -480,12 +479,9 @@ class RewardTerms:
             return name or node
         return Op(node.op, tuple(map(self._with_names, node.args)))
 
-    def ranges_while_running(self, steps: tuple[float, float] | None = None) -> Ranges:
+    def ranges_while_running(self) -> Ranges:
         """Return the ranges in a step after which the episode goes on."""
-        steps = steps or self._steps
-        if steps not in self._running:
-            self._running[steps] = Ranges(self.analysis, self._end_flags_at(None, truncated=False), steps)
-        return self._running[steps]
+        return self._running
 
     def ranges_at(self, ending: Expression | None) -> Ranges:
         """Return the ranges in the step in which this ending holds, and no other; None is the truncation."""

@@ -19,7 +19,6 @@ from deepbots_cli.program import SEPARATOR
 _NAME = r"[A-Za-z_][A-Za-z0-9_]*(?:\.[A-Za-z_][A-Za-z0-9_]*)*"
 _DEFINITIONS = ("parameters", "signals", "augment")
 _RANGES = ("observation", "critic", "action")
-_GOALS = ("goal", "achieved", "desired")
 
 
 class ShownUnits:
@@ -48,7 +47,7 @@ class ShownUnits:
         """Return the unit of a number of the observation, the action or the goal, such as
         `robot.sensor.x` or `agent__x`."""
         section, _, entry = name.partition(".")
-        if section in _GOALS and node_at(self._root, "goal") is not None:
+        if section in ("goal", "achieved", "desired") and node_at(self._root, "goal") is not None:
             return self.of(unit, text_at(self._root, "goal", "range"))
         owner = name.partition(SEPARATOR)[0].rpartition(".")[2]
         # The agent itself, the one that it is like, and the others.

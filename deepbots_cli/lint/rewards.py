@@ -9,7 +9,7 @@ from math import isclose
 from typing import Literal, NamedTuple
 
 from deepbots_cli.analysis import Analysis
-from deepbots_cli.analysis.conditions import deciding_comparisons, thresholds
+from deepbots_cli.analysis.conditions import comparisons, thresholds
 from deepbots_cli.analysis.ranges import Ranges, return_range
 from deepbots_cli.diagnostics import Finding, Label
 from deepbots_cli.document.nodes import NodePath
@@ -96,7 +96,9 @@ class _PoleSearch:
         self._analysis = analysis
         self.ranges = analysis.ranges_in(1.0, float(analysis.last_step))
         compared = [
-            entry for ending in analysis.program.endings for entry in deciding_comparisons(analysis, ending)
+            entry
+            for ending in analysis.program.endings
+            for entry in comparisons(analysis, ending, ("or",), in_durations=False)
         ]
         self._guarded = {
             analysis.identity(threshold.quantity)
