@@ -812,15 +812,10 @@ OF_WORLD = (
 
 
 _X = Param("x")
-_Y = Param("y")
 _V = Param("v")
 _NUMBER = Param("x", dimension=NUMBER)
 _ANGLE = Param("angle", dimension=ANGLE)
 _RANGE = Param("range", Form.RANGE)
-
-
-def _interval_of_norm(components: Interval, count: int) -> Interval:
-    return iv.hypot(*[components] * count)
 
 
 ARITHMETIC = (
@@ -902,7 +897,7 @@ ARITHMETIC = (
     Function(
         "atan2",
         Family.PURE,
-        (_Y, _X),
+        (Param("y"), _X),
         doc="The angle of the point (x, y), between -180 and 180 deg.",
         example="atan2(velocity(rover).y, velocity(rover).x)",
         result=fixed_dimension(ANGLE),
@@ -971,7 +966,7 @@ ARITHMETIC = (
         (_V,),
         doc="The sum of the components.",
         example="sum(joint_velocity(rover.wheels)^2)",
-        reduction=Reduction("add", 0.0, iv.multiply_by_count),
+        reduction=Reduction("add", 0.0, lambda v, count: iv.multiply(v, iv.single(count))),
     ),
     Function(
         "mean",
@@ -987,7 +982,7 @@ ARITHMETIC = (
         (_V,),
         doc="The length of a vector: the root of the sum of squares.",
         example="norm(velocity(rover).xy)",
-        reduction=Reduction("hypot", 0.0, _interval_of_norm, of_rows=True),
+        reduction=Reduction("hypot", 0.0, lambda v, count: iv.hypot(*[v] * count), of_rows=True),
     ),
     Function(
         "count",
@@ -1203,13 +1198,8 @@ OF_EPISODE = (
 )
 
 
-_FORMS = frozenset({Form.VALUE, Form.RANGE})
-"""The forms of arguments that functions of other packages may have."""
 _INTERNAL_FIELDS = ("reduction", "tree", "reads_link_pose", "method", "memory", "helper")
 """The fields that refer to code of deepbots."""
-_CONSTANTS = frozenset({"pi", "tau", "e", "inf"})
-_NAMES_IN_PYTHON = {*vars(math), "abs", "min", "max"}
-_NAMES_IN_ARRAY = _CONSTANTS | {"abs", "np"}
 
 
 def functions_of_entry(_name: str, entry: Any) -> Iterator[tuple[str, Function]]:
@@ -1238,9 +1228,9 @@ def _require_usable(function: object) -> None:
     if internal:
         raise ValueError(f"{name!r} cannot have `{internal[0]}`; write its meaning as `python`")
     _require_usable_params(name, function.params)
-    _require_usable_python(function, "python", _NAMES_IN_PYTHON)
+    _require_usable_python(function, "python", {*vars(math), "abs", "min", "max"})
     if function.array:
-        _require_usable_python(function, "array", _NAMES_IN_ARRAY)
+        _require_usable_python(function, "array", {"pi", "tau", "e", "inf", "abs", "np"})
     _require_usable_result(function)
 
 
@@ -1250,7 +1240,7 @@ def _require_usable_params(name: str, params: tuple[Param, ...]) -> None:
             raise ValueError(
                 f"the argument {param.name!r} of {name!r} is not an identifier; choose another name"
             )
-        if param.form not in _FORMS:
+        if param.form not in (Form.VALUE, Form.RANGE):
             form = param.form.name
             raise ValueError(f"{name!r} cannot take the form {form}; write Form.VALUE or Form.RANGE")
         if param.optional or param.components:

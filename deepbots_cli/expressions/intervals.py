@@ -200,10 +200,6 @@ def where(condition: Interval, a: Interval, b: Interval) -> Interval:
     return hull((a, b))
 
 
-def multiply_by_count(a: Interval, count: int) -> Interval:
-    return Interval(_times(a.low, count), _times(a.high, count))
-
-
 def hypot(*parts: Interval) -> Interval:
     """Return the square root of a sum of squares."""
     sizes = [absolute(part) for part in parts]

@@ -72,7 +72,6 @@ _COMPARISON = 4
 _MINUS = 7
 _TOO_DEEP_HELP = "define parts of the expression as signals or parameters"
 _CONDITIONAL_WORDS = frozenset({"if", "else", "when"})
-_CONDITIONAL_SIGNS = _CONDITIONAL_WORDS | {"?", ":", "{"}
 _WHOLE_TEXT_WORDS = {"else", "when", "every", "each"}
 _CONDITION_OPERATORS = {"and", "or", "if", "<", "<=", ">", ">=", "==", "!="}
 _SLOT_ENDS = {
@@ -512,7 +511,7 @@ class _Parser:
             )
         token = self._peek
         if (
-            token.text in _CONDITIONAL_SIGNS
+            token.text in _CONDITIONAL_WORDS | {"?", ":", "{"}
             and (replacement := nearest.as_conditional(self._text))
             and _is_expression(replacement)
         ):

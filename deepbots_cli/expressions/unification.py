@@ -703,7 +703,6 @@ FAMILY_HELP = {
     " and the values that it receives",
 }
 """The help for a function that cannot be used, by its family."""
-_STATIC_PLACES = (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
 CONTEXT_HELP = {
     **{
         (Context.FORBID, family): "define the value under `augment`, and use its name here"
@@ -711,7 +710,7 @@ CONTEXT_HELP = {
     },
     **{
         (context, family): _STATIC_HELP
-        for context in _STATIC_PLACES
+        for context in (Context.FIXED, Context.PARAMETER, Context.FIELD, Context.OBSERVATION, Context.RESET)
         for family in (Family.WORLD, Family.MESSAGE)
     },
     (Context.EMIT, Family.WORLD): "define the value under `augment`; a robot knows only its sensors",
