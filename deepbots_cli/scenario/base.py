@@ -221,9 +221,7 @@ def fits(shape: "Shape", value: object) -> bool:
             return False
 
 
-@cache
-def _validator(annotation: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(annotation)
+_validator = cache(TypeAdapter)
 
 
 @cache

@@ -42,8 +42,7 @@ from deepbots_cli.scenario.fields import FieldType, Word
 from deepbots_cli.scenario.scenario import Scenario
 from deepbots_cli.scenario.training import SET_ELSEWHERE_HELP, Training
 
-_MAX_EXAMPLE_CHARACTERS = 120
-_MAX_LINE_CHARACTERS = 120
+_MAX_SHOWN_CHARACTERS = 120
 _MAX_VALUE_CHARACTERS = 400
 """A longer value is not tried as an entry of another mapping: patterns of numbers take quadratic time."""
 _LIKE_A_MISSING_KEY = 0.7
@@ -87,7 +86,7 @@ def sentence_about_key(data: object, path: NodePath) -> str | None:
     text = key_description(section, key).rstrip(".")
     example = None if re.search("such as `|`{", text) else example_of(section, key)
     shown = ""
-    if example and "\n" not in example.text and len(example.text) <= _MAX_EXAMPLE_CHARACTERS:
+    if example and "\n" not in example.text and len(example.text) <= _MAX_SHOWN_CHARACTERS:
         shown = f". Example: `{key}: {example.text}`"
     return f"`{key}`: {text[:1].lower()}{text[1:]}{shown}"
 
@@ -213,7 +212,7 @@ def _line(root: nodes.MappingNode, path: NodePath, key: str) -> str:
     behind = text[word.span.end : value.span.end]
     if behind.startswith("="):  # an assignment of the command line
         return f"--set {text[: word.span.start]}{key}{behind}"
-    return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_LINE_CHARACTERS}}}", behind) else f"{key}:"
+    return f"{key}{behind}" if re.fullmatch(rf":[^\n]{{1,{_MAX_SHOWN_CHARACTERS}}}", behind) else f"{key}:"
 
 
 def _indentation(word: nodes.ScalarNode) -> str:

@@ -102,6 +102,12 @@ def check_bounds(
         raise error("DB105", f"`{written or value}` is above the largest allowed value", help)
 
 
+def _check_number(_field: FieldType, value: Any) -> None:
+    """Check the value of a field that takes texts, whose content the compiler checks, and numbers."""
+    if not isinstance(value, str):
+        check_bounds(value)
+
+
 def _number_text(number: float) -> str:
     """Return a number as a scenario may have it: a whole one without an exponent."""
     if not float(number).is_integer() or abs(number) >= MAX_MAGNITUDE:
@@ -444,9 +450,7 @@ class Column(FieldType):
     example = "0 5 10"
     accepted_types = (str, int, float)
 
-    def check(self, value: Any) -> None:
-        if not isinstance(value, str):
-            check_bounds(value)
+    check = _check_number
 
 
 @dataclass(frozen=True)
@@ -503,9 +507,7 @@ class Bounds(Range):
     example = "0 .. 10 %"
     accepted_types = (str, int, float)
 
-    def check(self, value: Any) -> None:
-        if not isinstance(value, str):
-            check_bounds(value)
+    check = _check_number
 
     def replacement_for(self, value: object) -> None:
         """Return no replacement: a text without `..` is a minimum."""
@@ -544,9 +546,7 @@ class Expression(Parsed):
     def accepted_types(self) -> tuple[type, ...]:
         return (str, *(() if self.boolean else (int, float)), *(() if self.boolean is False else (bool,)))
 
-    def check(self, value: Any) -> None:
-        if not isinstance(value, str):
-            check_bounds(value)
+    check = _check_number
 
 
 # Field types that several sections use

@@ -24,8 +24,6 @@ MAX_CHOICES = 64
 _DIGITS = 4
 """Significant digits of a value that a trial tries, relative to the width of its range. They keep a file
 readable that is written later."""
-_LOG = r"(?s)(.*?)\s*:\s*log\s*"
-_BETWEEN_CHOICES = r"\|(?![^\[\](){}]*[\])}])"  # outside brackets
 
 
 class SearchSpace(BaseModel):
@@ -80,7 +78,8 @@ class SearchSpace(BaseModel):
 
 def split_choices(text: str) -> tuple[str, ...]:
     """Return the choices of `a | b | c`; a single one if there is no `|`."""
-    return tuple(part.strip() for part in re.split(_BETWEEN_CHOICES, text))
+    # Between the choices, but not within brackets.
+    return tuple(part.strip() for part in re.split(r"\|(?![^\[\](){}]*[\])}])", text))
 
 
 def read_range(text: str) -> SearchSpace:
@@ -90,7 +89,7 @@ def read_range(text: str) -> SearchSpace:
         PydanticCustomError: It is not a range of numbers, or is empty.
     """
     field = SearchField()
-    marked = re.fullmatch(_LOG, text)
+    marked = re.fullmatch(r"(?s)(.*?)\s*:\s*log\s*", text)
     tree = Parsed.tree(marked[1] if marked else text)
     if not (isinstance(tree, RangeTree) and isinstance(tree.low, Number) and isinstance(tree.high, Number)):
         raise mismatch(field.noun, field.help_for(text), value=text)
