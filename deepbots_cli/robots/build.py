@@ -510,16 +510,14 @@ class Build:
     def _extents(self) -> dict[str, float]:
         """The length (m) of the longest way from each joint to a link behind it when stretched out."""
         extents: dict[str, float] = {}
-        below: dict[str, list[Joint]] = {}
-        for joint in self.model.joints:
-            below.setdefault(joint.parent, []).append(joint)
+        below = self.model.joints_below
         order = [self.model.root]
         for link in order:
-            order += [joint.child for joint in below.get(link, ())]
+            order += [joint.child for joint in below[link]]
         above = {joint.child: joint for joint in self.model.joints}
         for link in reversed(order[1:]):
             extents[above[link].name] = max(
-                (hypot(*joint.origin.xyz) + extents[joint.name] for joint in below.get(link, ())),
+                (hypot(*joint.origin.xyz) + extents[joint.name] for joint in below[link]),
                 default=0.0,
             )
         return extents
@@ -571,13 +569,13 @@ class Build:
 
     def _are_legs_by_name(self, legs: Sequence[Limb]) -> bool:
         """Whether two limbs at least have the names of legs, and no other limb has."""
-        return len(legs) > 1 and [limb for limb in self.limbs if _LEG.search(_names(limb))] == legs
+        return len(legs) > 1 and [limb for limb in self.limbs if _LEG.search(names_of_limb(limb))] == legs
 
     @cached_property
     def legs(self) -> list[Limb]:
         """The limbs that carry the trunk: two at least, or none."""
         legs = self._legs_along(self.down)
-        names = " ".join(map(_names, legs))
+        names = " ".join(map(names_of_limb, legs))
         if len(legs) == 2 and _ARM.search(names) and not _LEG.search(names):
             return []
         return legs if len(legs) > 1 else self._mirrored_limbs
@@ -604,7 +602,7 @@ class Build:
         """The limbs of a robot on many legs that are drawn stretched out: four at least, of one length, in
         pairs on both sides."""
         limbs = [limb for limb in self.limbs if len(limb.joints) > 1]
-        names = " ".join(map(_names, limbs))
+        names = " ".join(map(names_of_limb, limbs))
         reaches = [sum(hypot(*joint.origin.xyz) for joint in limb.joints[1:]) for limb in limbs]
         if len(limbs) < 4 or len(limbs) % 2 or _JAW.search(names) or self.all_wheels:
             return []
@@ -703,7 +701,7 @@ def is_endless(joint: Joint) -> bool:
     return joint.type == "revolute" and upper - lower > _ENDLESS_RANGE
 
 
-def _names(limb: Limb) -> str:
+def names_of_limb(limb: Limb) -> str:
     return " ".join(f"{joint.name} {joint.child}" for joint in limb.path)
 
 

@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from enum import StrEnum
+from functools import partial
 from itertools import pairwise
-from math import dist
+from math import dist, inf
 
 from deepbots_cli import frames
 from deepbots_cli.records import dataclass
-from deepbots_cli.robots.build import Build, Limb
+from deepbots_cli.robots.build import Build, Limb, names_of_limb
 from deepbots_cli.robots.kinematics import box_sides, robot_bounds
 
 _EXOSKELETON = re.compile(r"exo(?:skelet|suit|_|-|$)", re.IGNORECASE)
@@ -156,7 +157,8 @@ def _arm_on_base(build: Build) -> str:
 
 
 def _omni(build: Build) -> str:
-    wheels = [wheel for wheel in build.wheels if wheel.joint.parent not in _steered(build)]
+    steered = {name for joint in build.steering for name in build.rigid(joint.child)}
+    wheels = [wheel for wheel in build.wheels if wheel.joint.parent not in steered]
     if len(wheels) < 3:
         return ""
     if sum(wheel.rollers > 0 for wheel in wheels) > 2:
@@ -168,10 +170,6 @@ def _omni(build: Build) -> str:
     if any(map(_MECANUM.search, names)):
         return f"its {len(wheels)} wheels are named after rollers"
     return ""
-
-
-def _steered(build: Build) -> set[str]:
-    return {name for joint in build.steering for name in build.rigid(joint.child)}
 
 
 def _rover(build: Build) -> str:
@@ -214,23 +212,15 @@ def _humanoid(build: Build) -> str:
     )
 
 
-def _biped(build: Build) -> str:
-    return f"{_limbs(build.legs, 'leg')} carry the trunk" if len(build.legs) == 2 else ""
-
-
-def _quadruped(build: Build) -> str:
-    return f"{_limbs(build.legs, 'leg')} carry the trunk" if len(build.legs) == 4 else ""
-
-
-def _hexapod(build: Build) -> str:
-    return f"{_limbs(build.legs, 'leg')} carry the trunk" if len(build.legs) > 2 else ""
+def _legged(fewest: int, most: float, build: Build) -> str:
+    return f"{_limbs(build.legs, 'leg')} carry the trunk" if fewest <= len(build.legs) <= most else ""
 
 
 def _hand(build: Build) -> str:
     if build.wheels or build.size > _MAX_HAND_SIZE or len(build.model.moving_joints) < 2:
         return ""
     limbs = build.limbs
-    named = [limb for limb in limbs if _HAND.search(_names(limb))]
+    named = [limb for limb in limbs if _HAND.search(names_of_limb(limb))]
     is_named = any(map(_HAND.search, [build.model.name, *build.trunk])) or 2 * len(named) > len(limbs)
     if is_named and len(limbs) == 1 and limbs[0].fingers and len(limbs[0].joints) < 3:
         return f"a wrist carries {len(limbs[0].fingers)} joints of fingers"
@@ -247,10 +237,6 @@ def _are_fingers(build: Build) -> bool:
     if len(build.limbs) < 3 or build.legs or any(len(limb.joints) < 2 for limb in build.limbs):
         return False
     return not build.arms or build.size < _MAX_PALM_SIZE
-
-
-def _names(limb: Limb) -> str:
-    return " ".join(f"{joint.name} {joint.child}" for joint in limb.path)
 
 
 def _snake(build: Build) -> str:
@@ -322,9 +308,9 @@ _TESTS: dict[Kind, Callable[[Build], str]] = {
     Kind.exoskeleton: _exoskeleton,
     Kind.hand: _hand,
     Kind.humanoid: _humanoid,
-    Kind.biped: _biped,
-    Kind.quadruped: _quadruped,
-    Kind.hexapod: _hexapod,
+    Kind.biped: partial(_legged, 2, 2),
+    Kind.quadruped: partial(_legged, 4, 4),
+    Kind.hexapod: partial(_legged, 3, inf),
     Kind.snake: _snake,
     Kind.two_arms: _two_arms,
     Kind.arm_with_gripper: _arm_with_gripper,

@@ -44,9 +44,6 @@ _MIN_SIDE_M = 1e-4
 def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None) -> dict[str, Frame]:
     """Return the frame of every link in the frame of the root; `positions` of joints (rad or m) are by name;
     others are at 0 or follow."""
-    below: dict[str, list[Joint]] = {}
-    for joint in model.joints:
-        below.setdefault(joint.parent, []).append(joint)
     positions = positions or {}
     if model.followers:
         followers = {
@@ -57,7 +54,7 @@ def link_frames(model: RobotModel, positions: Mapping[str, float] | None = None)
     waiting = [model.root]
     while waiting:
         parent = waiting.pop()
-        for joint in below.get(parent, ()):
+        for joint in model.joints_below[parent]:
             frames_by_link[joint.child] = child_frame(
                 joint, frames_by_link[parent], positions.get(joint.name, 0.0)
             )

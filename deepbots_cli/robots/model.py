@@ -287,17 +287,22 @@ class RobotModel:
         """The mass of all links in kg."""
         return sum(link.mass for link in self.links)
 
+    @cached_property
+    def joints_below(self) -> dict[str, list[Joint]]:
+        """The joints that begin at each link."""
+        below: dict[str, list[Joint]] = {link.name: [] for link in self.links}
+        for joint in self.joints:
+            below[joint.parent].append(joint)
+        return below
+
     def subtree_mass(self) -> dict[str, float]:
         """Return for each link by name the mass (kg) of the link and of everything below it."""
         mass = {link.name: link.mass for link in self.links}
-        below: dict[str, list[str]] = {name: [] for name in mass}
-        for joint in self.joints:
-            below[joint.parent].append(joint.child)
         order = [self.root]
         for link in order:  # parents first; a chain of links may be longer than Python's stack
-            order += below[link]
+            order += [joint.child for joint in self.joints_below[link]]
         for link in reversed(order):
-            mass[link] += sum(mass[child] for child in below[link])
+            mass[link] += sum(mass[joint.child] for joint in self.joints_below[link])
         return mass
 
 

@@ -376,9 +376,6 @@ class ModelBuilder:
         model = body.model
         subtree_mass = model.subtree_mass()
         joint_of = {joint.child: joint for joint in model.joints}
-        children: dict[str, list[str]] = {}
-        for joint in model.joints:
-            children.setdefault(joint.parent, []).append(joint.child)
         body.static_links = frozenset(rigid_group(model, model.root)) if body.fixed else frozenset()
         links: dict[str, MjObject] = {}
         joints: dict[str, MjObject] = {}
@@ -412,7 +409,7 @@ class ModelBuilder:
             geoms[name] = [self._surface(body_element, piece, index, pooled) for piece in pieces]
             if self._flat and above is not None:
                 geoms[name] += self._add_tires(body_element, link, above, geoms[name])
-            order += children.get(name, ())
+            order += [joint.child for joint in model.joints_below[name]]
         if not self._for_rendering:
             for follower, mimic in model.followers.items():
                 self._follow(joints[follower], joints[mimic.joint], mimic)
