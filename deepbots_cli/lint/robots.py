@@ -349,9 +349,8 @@ def topples(simulation: Simulation) -> Iterator[Match]:
 def _is_watched(simulation: Simulation, robot: Robot) -> bool:
     """Return whether the scenario measures the attitude or the height of the base of a robot, or the robot
     flies."""
-    if any(isinstance(actuator, (Thrust, CustomActuator)) for actuator in robot.actuators):
-        return True
-    if any(sensor.kind in _ATTITUDE_SENSORS for sensor in robot.sensors):
+    flies = any(isinstance(actuator, (Thrust, CustomActuator)) for actuator in robot.actuators)
+    if flies or any(sensor.kind in _ATTITUDE_SENSORS for sensor in robot.sensors):
         return True
     reads = (
         node

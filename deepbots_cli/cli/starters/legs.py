@@ -382,7 +382,7 @@ def _standing(build: Build, limb: Limb, down: Triple) -> tuple[dict[str, float],
     if is_sprawled:
         outward = _level(leg, down)
         if hypot(*outward) < _LARGEST_FOOT_SHIFT * reach:
-            outward = _level(frames.subtract(hip, _middle_of_hips(build)), down)
+            outward = _level(frames.subtract(hip, frames.mean(_hips(build))), down)
         outward = frames.scaled(outward, 1.0 / (hypot(*outward) or 1.0))
         angle = radians(_SPRAWL)
         direction = frames.add(
@@ -437,10 +437,6 @@ def _bending_axis(build: Build, limb: Limb) -> Triple:
 
 def _hips(build: Build) -> list[Triple]:
     return [build.frames[limb.joints[0].child][0] for limb in build.legs]
-
-
-def _middle_of_hips(build: Build) -> Triple:
-    return frames.mean(_hips(build))
 
 
 # The direction
