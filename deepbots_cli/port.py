@@ -40,8 +40,7 @@ Capability = Literal["contacts", "mimic", "rendering", "snapshot", Feature]
 falls with their speed, the wrench in a joint, links of one robot that touch each other."""
 Part = tuple[str, str | None]
 """A body and one of its links; None for all of its links, or for the root link where one frame is needed."""
-JointStates = Sequence[Sequence[float]]
-JointReader = Callable[[], JointStates]
+JointReader = Callable[[], Sequence[Sequence[float]]]
 """One item per joint: position (rad or m) at index 0, velocity (rad/s or m/s) at index 1. Further items
 depend on the engine."""
 TorqueReader = Callable[[], Sequence[float]]

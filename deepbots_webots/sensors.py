@@ -490,7 +490,6 @@ def _ray_weights(directions: Sequence[Triple], aperture: float, width: float) ->
 
 SUN_DISTANCE_M = 1000.0
 """The distance of a DirectionalLight in the search for obstacles, m."""
-_WITHOUT_ATTENUATION = (1.0, 0.0, 0.0)
 
 
 class _Beam(NamedTuple):
@@ -533,9 +532,7 @@ class LightSensor(ScalarSensor, HasLookupTable):
 
 def _ambient(light: Node) -> float:
     """Return the ambient intensity of a source. As in Webots, one with an attenuation has none."""
-    has_attenuation = (
-        light.type != "DirectionalLight" and vector(light, "attenuation") != _WITHOUT_ATTENUATION
-    )
+    has_attenuation = light.type != "DirectionalLight" and vector(light, "attenuation") != (1.0, 0.0, 0.0)
     return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 

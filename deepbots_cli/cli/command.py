@@ -751,7 +751,6 @@ def _deepbots(
 # The commands of deepbots-webots, a distribution of its own, by its entry points
 
 
-_WEBOTS_GROUP = "deepbots.webots"
 _WEBOTS_USES = {
     "command": "`deepbots webots`",
     "starter": "`deepbots new --webots`",
@@ -775,7 +774,7 @@ def entry_of_webots(name: Literal["command", "starter", "exporter"]) -> Callable
     Raises:
         MissingExtraError: deepbots-webots is not installed.
     """
-    for entry in entry_points_of(_WEBOTS_GROUP):
+    for entry in entry_points_of("deepbots.webots"):
         if entry.name == name:
             function: Callable[..., Any] = entry.load()
             return function

@@ -31,8 +31,6 @@ from deepbots_cli.expressions.text import SCALAR, operation_code
 if TYPE_CHECKING:
     from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys
 
-NO_SETTABLE: Mapping[int, str] = MappingProxyType({})
-NO_RENAMED: Mapping[str, str] = MappingProxyType({})
 
 _VECTOR_FUNCTIONS = {
     "scalar": {"add": "total", "min": "min", "max": "max", "or": "any", "and": "all"},
@@ -78,8 +76,8 @@ class Printer:
         self,
         context: ClassPrinter,
         *,
-        settable: Mapping[int, str] = NO_SETTABLE,
-        renamed: Mapping[str, str] = NO_RENAMED,
+        settable: Mapping[int, str] = MappingProxyType({}),
+        renamed: Mapping[str, str] = MappingProxyType({}),
     ) -> None:
         self.lines: list[str] = []
         self.context = context

@@ -92,8 +92,6 @@ from deepbots_cli.scenario.validate import validate
 
 __all__ = ["CheckedScenario", "check"]
 
-_SPELLING_CODES = frozenset({"DB003", "DB004"})  # warnings about how a value is spelled
-
 
 @dataclass(frozen=True, eq=False)
 class CheckedScenario:
@@ -460,5 +458,5 @@ def _absorbs(error: Finding, warning: Finding) -> bool:
     inner, outer = error.span, warning.span
     if inner.source.name != outer.source.name:
         return False
-    within = warning.code in _SPELLING_CODES and outer.start <= inner.start and inner.end <= outer.end
+    within = warning.code in {"DB003", "DB004"} and outer.start <= inner.start and inner.end <= outer.end
     return within or (inner.start, inner.end) == (outer.start, outer.end)

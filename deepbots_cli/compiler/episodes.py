@@ -56,8 +56,6 @@ from deepbots_cli.scenario.task import ALL_AGENTS, JointState, Measured, PythonT
 from deepbots_cli.scenario.task import Disturbance as DisturbanceSpec
 from deepbots_cli.scenario.task import Truncation as TruncationSpec
 
-_PUSHABLE_KINDS = frozenset({Kind.ROBOT, Kind.LINK, Kind.OBJECT})
-
 
 class Parameters(NamespaceReader):
     """The parameters: fixed ones are folded into expressions, the others are drawn."""
@@ -219,7 +217,7 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
     if subject.kind is Kind.BROKEN:
         return None
     body, _, link = called.partition(".")
-    if subject.kind not in _PUSHABLE_KINDS:
+    if subject.kind not in {Kind.ROBOT, Kind.LINK, Kind.OBJECT}:
         values.add(
             "DB203",
             span,

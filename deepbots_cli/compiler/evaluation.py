@@ -584,7 +584,6 @@ class _VariantCompiler:
 MAX_TESTS = 200
 MAX_STEPS = 1_000_000
 """The maximum number of timesteps of a test: a few minutes in a light world."""
-PLAIN_DRIVERS = tuple(REFERENCE_KINDS["driver"].words)
 _RATE_KEYS: tuple[ExpectedKey, ...] = ("success_rate", "failure_rate", "mean_return")
 _CONDITIONS: tuple[ExpectedKey, ...] = ("always", "eventually")
 _MAX_SHOWN_VALUES = 4
@@ -656,7 +655,7 @@ class _Reader(NamespaceReader):
             )
             return None
         name = spec.driver or ""
-        drivers = [*self._spec.scripts, *PLAIN_DRIVERS]
+        drivers = [*self._spec.scripts, *REFERENCE_KINDS["driver"].words]
         if name not in drivers and not (self._values.is_invalid("scripts") or self._values.is_invalid(name)):
             self._values.report_unknown(self._values.field(spec, "driver").span, "script", name, drivers)
         return name

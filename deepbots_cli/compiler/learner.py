@@ -52,7 +52,6 @@ _PPO: dict[str, Any] = {
     "normalize": "reward",
 }
 _TRAIN = "train"
-_ALGORITHM = "algorithm"
 
 
 @dataclass(frozen=True)
@@ -151,7 +150,7 @@ def with_learner(document: Document, choice: Choice) -> tuple[Document, tuple[st
         _TRAIN, Entry(ScalarNode(section.span, _TRAIN, _TRAIN), replace(section, entries={}))
     )
     assert isinstance(train_entry.value, MappingNode)  # the validation has checked it
-    hyperparameters = {key: entry for key, entry in train_entry.value.entries.items() if key != _ALGORITHM}
+    hyperparameters = {key: entry for key, entry in train_entry.value.entries.items() if key != "algorithm"}
     section = merge(section, replace(train_entry.value, entries=hyperparameters))
     root = replace(root, entries=root.entries | {_TRAIN: Entry(train_entry.key, section)})
     return replace(document, root=root), tuple(

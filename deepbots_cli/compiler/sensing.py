@@ -433,8 +433,6 @@ def _lookup(namespace: Namespace, spec: TableSpec) -> tuple[CalibrationTable, Di
 MAX_TICKS = 100_000
 """The longest period and latency in timesteps. Older readings are useless to a policy, and every reading of
 this time is kept in memory."""
-_NUMERIC_KEYS = ("noise", "bias", "drift", "resolution", "range")
-"""The keys of sensors that read numbers."""
 
 
 def _noise_model(
@@ -446,7 +444,7 @@ def _noise_model(
     latency = _latency(namespace, spec)
     if typed.boolean or typed.picture:
         readings = "takes pictures" if typed.picture else "reads true or false"
-        keys = list(_NUMERIC_KEYS)
+        keys = ["noise", "bias", "drift", "resolution", "range"]
         if typed.picture:  # has a range of distances, and a resolution
             keys = [key for key in keys if key not in ("range", "resolution")]
         for key in keys:

@@ -42,7 +42,6 @@ _BARE_WORD = re.compile(r"(?<![\w.])(?<!\d )[A-Za-z_]\w*")
 """A word that is not the unit of a number."""
 _WORD = r"[A-Za-z_]\w*"
 _LEADING_NUMBER = r"(?i)[-+]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.])"
-_COPY = r"#\d"
 
 
 class SourceText(NamedTuple):
@@ -137,7 +136,7 @@ class TextFindings:
             ):
                 help = f"a `#` after a space begins a comment, which hides `{hidden[1]}`"
                 replacement = None
-                help += f"; {parser.COPIES_HELP}" if re.search(_COPY, hidden[1]) else ""
+                help += f"; {parser.COPIES_HELP}" if re.search(r"#\d", hidden[1]) else ""
             if code == "DB402" and "_" in piece:
                 help = term_help(piece) or help
             word = self._word_replacement(text, piece) if code == "DB402" else None

@@ -317,7 +317,6 @@ def _finite_values(tree: Scalar | None) -> Sequence[float]:
 
 _PATH: NodePath = ("train", "symmetry")
 _MAX_LISTED = 3
-_PREVIOUS = "previous_action."
 
 
 class RangedName(NamedTuple):
@@ -385,7 +384,7 @@ def _acted_before(agent: Agent) -> dict[str, str]:
             part.names if isinstance(part, ActionRange) else (option.name for option in part.options)
         )
     ]
-    return dict(zip((f"{_PREVIOUS}{name}" for name in action_names(agent.action)), acted, strict=True))
+    return dict(zip((f"previous_action.{name}" for name in action_names(agent.action)), acted, strict=True))
 
 
 class _SymmetryReader:

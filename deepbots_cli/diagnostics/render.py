@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 Format = Literal["full", "concise", "json"]
 
-_TAB = "    "
 _COLORS = {
     "error": "\x1b[1;31m",
     "warning": "\x1b[1;33m",
@@ -220,7 +219,7 @@ class _Line:
         self.cells: list[str] = []
         room = width - len(self.prefix) - 1
         for character in line[self.first : self.first + width]:
-            cell = _TAB if character == "\t" else escaped(character)
+            cell = "    " if character == "\t" else escaped(character)
             room -= display_width(cell)
             if room < 0:
                 break

@@ -61,7 +61,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-EPISODE_LABELS = ("best", "median", "worst")
 FIGURE_NAMES = ("returns", "successes", "teacher", "shares", "endings", "starts", "trajectories")
 AGENT_FIGURES = {
     "returns": "Learning curve",
@@ -505,7 +504,7 @@ class Report:
         drawn = _drawn(self.figures)
         run = self.runs[0].run
         linted = linted_scenario(run)
-        clips = {label: self.clips[label] for label in EPISODE_LABELS if label in self.clips}
+        clips = {label: self.clips[label] for label in ("best", "median", "worst") if label in self.clips}
         notes = [*self.notes, *self.declines, *(note for shown in self.runs for note in shown.run.notes())]
         return render_template(
             "report.html.j2",

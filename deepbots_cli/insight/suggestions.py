@@ -75,7 +75,6 @@ _PROPERTIES = {
     "speed": "speed",
 }
 """The property that a word is about."""
-_OF_SIZE = {"larger", "bigger", "smaller"}
 _LARGER_WORDS = {
     *("longer", "larger", "bigger", "heavier", "faster", "quicker"),
     *("higher", "more", "increase", "raise"),
@@ -97,7 +96,6 @@ _OF_OTHER_KEYS = {
 _FILL_WORDS = {"a", "an", "make", "of", "please", "the", "with"}
 _QUESTIONS = {"what", "when", "where", "which", "who", "why", "no", "not", "don", "never", "without"}
 """The words of a phrase that asks for no change."""
-_OF_LEARNING = {"learn", "learning", "learns", "train", "training"}
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,7 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     if change is not None and not change.unit:
         named += (
             _length_of_training(checked, asked, change.amount)
-            if words & _OF_LEARNING
+            if words & {"learn", "learning", "learns", "train", "training"}
             else _parameters(checked, words, asked, change.amount)
         )
     numbers = {  # those of names
@@ -245,7 +243,7 @@ def _value_of_link(link: Link, key: str, written: str, words: set[str], change: 
     if key == "mass":
         return f"{change.amount:.6g} kg" if change.unit else _multiplied(written or "urdf * 1", change.amount)
     ratio, axes = change.amount, {0, 1, 2}
-    if change.unit or "length" in words or not words & _OF_SIZE:
+    if change.unit or "length" in words or not words & {"larger", "bigger", "smaller"}:
         parts = link.visuals or link.collisions
         boxes = [bounds_of_shape(part.shape, frames.frame(part.origin)) for part in parts]
         sides = box_sides(box_around(boxes))

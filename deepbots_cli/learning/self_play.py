@@ -43,7 +43,6 @@ _PRESENT = -1
 """The opponent of a world without one from the pool: the present policy."""
 _FIRST_SCRIPT = -2
 """The opponent that is the first script; the next one is -3."""
-_POOL = "pool"
 
 
 class Sides(NamedTuple):
@@ -407,4 +406,4 @@ class _Rater:
 
 
 def _pool_name(number: int, name: str) -> str:
-    return f"{_POOL}/{number}/{name}"
+    return f"pool/{number}/{name}"

@@ -506,7 +506,6 @@ def driven_wheels(robot: Robot, model: RobotModel) -> tuple[str, ...]:
 OUT_OF_MEMORY = 77
 """The exit code of a process that asked for more memory than it may have."""
 _REQUIRED = ("gymnasium", "msgspec", "numpy")
-_CRASHES = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"}
 
 
 class Limits(NamedTuple):
@@ -611,4 +610,4 @@ def _halt(code: int, limits: Limits) -> Halt:
         return Halt("slow", f"{limits.cpu} s of CPU time")
     if code == OUT_OF_MEMORY:
         return Halt("memory", f"{limits.memory} MiB")
-    return Halt("crash" if name in _CRASHES else "killed", name)
+    return Halt("crash" if name in {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGABRT"} else "killed", name)

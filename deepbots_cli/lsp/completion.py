@@ -75,7 +75,6 @@ _REPEATS = {
     "each step": "draws again in each step",
 }
 _CONTEXTS = {"field": Context.FIXED, "require": Context.REQUIRE, "parameter": Context.PARAMETER}
-_ROBOT_CONTEXTS = ("emit", "apply")
 _MAX_NAMES = 1000
 _MAX_LOOKBACK = 2000
 """The number of characters before the cursor that are searched for an open bracket."""
@@ -191,7 +190,7 @@ def _scope_of(analysis: DocumentAnalysis, field: FieldType, path: NodePath) -> S
     if field.context in _CONTEXTS:
         return ParameterScope(namespace, _CONTEXTS[field.context])
     context = Context[field.context.upper()]
-    if field.context not in _ROBOT_CONTEXTS:
+    if field.context not in ("emit", "apply"):
         return SupervisorScope(namespace, context)
     robot = str(path[1]) if len(path) > 1 else ""
     scopes = [

@@ -45,10 +45,7 @@ from deepbots_cli.lsp.workspace import (
 
 # Findings as diagnostics, and the text edits that fix them
 
-_SOURCE = "deepbots"
 _SEVERITIES = {"error": types.DiagnosticSeverity.Error, "warning": types.DiagnosticSeverity.Warning}
-_UNNECESSARY = frozenset({"DB205", "DB901"})
-"""The rules that report unnecessary text, which editors show faded."""
 
 _DEBOUNCE = 0.05
 """Seconds between a change and its analysis; people type up to ten letters a second."""
@@ -74,9 +71,9 @@ def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
         message=message(finding),
         severity=_SEVERITIES[finding.severity],
         code=finding.code,
-        source=_SOURCE,
+        source="deepbots",
         related_information=also or None,
-        tags=[types.DiagnosticTag.Unnecessary] if finding.code in _UNNECESSARY else None,
+        tags=[types.DiagnosticTag.Unnecessary] if finding.code in {"DB205", "DB901"} else None,
         data={"name": finding.name},
     )
 
@@ -373,7 +370,6 @@ _WATCHED = (
     "**/*.{obj,stl,dae,glb,gltf,bin,png}",
     "**/{deepbots,pyproject}.toml",
 )
-_TRIGGERS = [".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]
 
 
 class _Protocol(LanguageServerProtocol):
@@ -409,7 +405,7 @@ class Server(LanguageServer):
         self._register(
             types.TEXT_DOCUMENT_COMPLETION,
             self._at(completion),
-            types.CompletionOptions(trigger_characters=_TRIGGERS),
+            types.CompletionOptions(trigger_characters=[".", " ", ":", "(", "[", "{", ",", "/", "*", "|"]),
         )
         self._register(types.TEXT_DOCUMENT_HOVER, self._at(hover))
         self._register(

@@ -37,7 +37,6 @@ from deepbots_cli.lint.settings import Settings, is_scenario, settings
 from deepbots_cli.lsp.cursor import Cursor, cursor_at, value_at
 from deepbots_cli.records import dataclass
 
-_LINE_END = re.compile(r"\r\n|\n|\r")
 _BOM = "\ufeff"
 _UTF_16 = PositionCodec()
 
@@ -57,7 +56,7 @@ class Lines:
         self._text = text
         self._codec = codec
         self._mark = len(_BOM) if text.startswith(_BOM) else 0
-        ends = list(_LINE_END.finditer(text))
+        ends = list(re.finditer(r"\r\n|\n|\r", text))
         self._starts = [0, *(end.end() for end in ends)]
         self._ends = [*(end.start() for end in ends), len(text)]
 

@@ -352,7 +352,6 @@ RANDOM, ZERO = "random", "zero"
 """Drivers of an agent besides its scripts."""
 SEPARATOR = "__"
 
-PREVIOUS_ACTION = "previous_action"
 PREVIOUS_REWARD, EPISODE_RETURN = "previous_reward", "episode_return"
 """Values of an agent itself: they are made of its own reward terms."""
 TERMINATED, ENDED = "terminated", "ended"
@@ -405,7 +404,7 @@ class MemberNames:
         return self.expression(value, of_agent=value.name in self.signals)
 
     def _name(self, name: Name) -> Name:
-        if name.name == PREVIOUS_ACTION:
+        if name.name == "previous_action":
             return name._replace(component=self.previous[name.component or next(iter(self.previous))])
         of_agent = (PREVIOUS_REWARD, EPISODE_RETURN, *((TERMINATED, ENDED) if self.ends_alone else ()))
         if name.name in of_agent:

@@ -311,9 +311,6 @@ def _inside(field: MessageField) -> str:
 # Readings that a policy needs
 
 
-_OF_CHANNEL = frozenset({"age", "message_received"})
-
-
 def reading_key(text: str) -> str:
     """Return the name of a reading without the spaces that a person may write."""
     return re.sub(r"\s+", "", text).replace(",", ", ")
@@ -356,7 +353,7 @@ class Deployment:
     def is_measured(self, reading: EngineRead) -> bool:
         """Return whether the robot measures it: the age of its messages, or a joint of which it has a sensor
         of this kind."""
-        if reading.function in _OF_CHANNEL or reading in self.sensed:
+        if reading.function in {"age", "message_received"} or reading in self.sensed:
             return True
         joint = self.joints.get(reading.subjects[0])
         robot = next(

@@ -25,7 +25,6 @@ MIN_RESOLUTION = 1e-12
 
 Parameter = float | bool | str | tuple[float, ...] | None
 """A parameter of a sensor or an actuator: a number or a vector in SI units, or a word."""
-RayReduction = Literal["each", "nearest", "mean"]
 Channels = Literal["rgb", "grayscale", "depth", "segmentation"]
 
 
@@ -71,7 +70,7 @@ class RayConfig:
 
     rays: tuple[Pose, ...]
     reach: float
-    combined: RayReduction = "each"
+    combined: Literal["each", "nearest", "mean"] = "each"
     lookup: CalibrationTable | None = None
     upright: bool = False
     behind: float = 0.0
@@ -263,7 +262,6 @@ Actuator = Motor | Thrust | Cartesian | CustomActuator
 Timing = Literal["immediate", "delayed"]
 Direction = Literal["to_robot", "from_robot"]
 Order = Literal["sent", "arrival", "newest"]
-OnLoss = Literal["hold", "zero", "skip"]
 
 LAYOUT_VERSION = 2
 """The version in the hash of message layouts."""
@@ -327,7 +325,7 @@ class Route:
     burst: float | None = None
     range: Expression | None = None
     order: Order = "sent"
-    on_loss: OnLoss = "hold"
+    on_loss: Literal["hold", "zero", "skip"] = "hold"
 
     @property
     def perfect(self) -> bool:

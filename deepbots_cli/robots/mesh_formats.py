@@ -49,8 +49,6 @@ Rows = tuple[tuple[float, ...], ...]
 IDENTITY: Rows = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 _SECTIONS = ("asset", "library_geometries", "library_visual_scenes", "scene")
 _FACES = ("triangles", "polylist", "polygons")
-_WITH_ID = (("source", "id"), ("vertices", "id"))
-_REFERENCES = (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry", "url"))
 
 
 class FaultyMeshError(ValueError):
@@ -99,7 +97,6 @@ def placed_triangles(suffix: str, data: bytes) -> Placed:
 
 _NUMBER = rb"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 _THREE_NUMBERS = rb"[ \t]+" + rb"[ \t]+".join([rb"(" + _NUMBER + rb")"] * 3) + rb"(?=\s|$)"
-_NOT_FINITE = rb"(?i)nan|inf"
 
 
 def is_text_stl(data: bytes) -> bool:
@@ -137,7 +134,7 @@ def _places(data: bytes, vertex: bytes, kind: str) -> array[float]:
     """Return the coordinates of all vertices of a file of text. Raises: FaultyMeshError: One has none."""
     places = re.findall(vertex + _THREE_NUMBERS, data)
     vertices = re.findall(vertex + rb"[ \t]([^\n]*)", data)
-    if any(map(re.compile(_NOT_FINITE).search, vertices)):
+    if any(map(re.compile(rb"(?i)nan|inf").search, vertices)):
         raise FaultyMeshError(f"the {kind} file contains a vertex that is not finite")
     if len(vertices) != len(places):
         raise FaultyMeshError(f"a vertex of the {kind} file is not three numbers")
@@ -148,7 +145,6 @@ def _places(data: bytes, vertex: bytes, kind: str) -> array[float]:
 
 
 _LINE = rb"(?m)^[ \t]*([vf])(?=[ \t])([^\n]*)"
-_INDEX = rb"[ \t](-?)0*([0-9]+)"
 # vertices and faces of an OBJ file; 32 MiB could hold millions, and take seconds and a gigabyte to read
 _MAX_FACE_CORNERS = 100_000
 """Of one face, whose corners are all in memory at a time, 170 bytes each."""
@@ -181,7 +177,7 @@ def _obj_triangles(data: bytes) -> Placed:
             continue
         if sum(data.count(blank, *line.span(2)) for blank in (b" ", b"\t")) > _MAX_FACE_CORNERS:
             raise FaultyMeshError(f"a face of the OBJ file has more than {_MAX_FACE_CORNERS:,} corners")
-        face = re.compile(_INDEX).findall(data, *line.span(2))
+        face = re.compile(rb"[ \t](-?)0*([0-9]+)").findall(data, *line.span(2))
         total += len(face)
         if total > MAX_CORNERS:
             raise FaultyMeshError(
@@ -217,7 +213,7 @@ def collada_triangles(data: bytes) -> Placed:
     missing = next((tag for tag in _SECTIONS if root.find(tag) is None), None)
     if missing is not None:
         raise FaultyMeshError(f"the COLLADA file has no <{missing}>")
-    _require(root, _REFERENCES)
+    _require(root, (("geometry", "id"), ("visual_scene", "id"), ("instance_geometry", "url")))
     unit = root.find("asset/unit")
     meter = 1.0 if unit is None else _floats(unit.attrib.get("meter", "1").split(), 1)[0]
     if not meter > 0.0:
@@ -339,7 +335,7 @@ def _require(holder: ElementTree.Element, attributes: tuple[tuple[str, str], ...
 
 
 def _triangles_of(mesh: ElementTree.Element) -> Iterator[Triangles]:
-    _require(mesh, _WITH_ID)
+    _require(mesh, (("source", "id"), ("vertices", "id")))
     sources = {element.attrib["id"]: element for element in mesh.iter("source")}
     position_inputs = {element.attrib["id"]: _input(element, "POSITION") for element in mesh.iter("vertices")}
     positions: dict[str, array[float]] = {}
@@ -450,8 +446,6 @@ _MAGIC = b"glTF"
 _HEADER, _CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
 _TYPES = {5121: "B", 5123: "H", 5125: "I", 5126: "f"}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_IS_COMPRESSED = ("draco", "meshopt")
-_NOT_DRAWN = ("images", "textures", "samplers", "animations", "cameras", "skins")
 _ZERO, _ONE, _UPRIGHT = (0.0,) * 3, (1.0,) * 3, (0.0, 0.0, 0.0, 1.0)
 
 
@@ -479,7 +473,7 @@ def read_gltf(path: Path, limit: int) -> bytes:
             view["byteOffset"] = int(view.get("byteOffset", 0)) + starts[int(view["buffer"])]
             view["buffer"] = 0
         document["buffers"] = [{"byteLength": len(buffer)}]
-        for name in _NOT_DRAWN:
+        for name in ("images", "textures", "samplers", "animations", "cameras", "skins"):
             document.pop(name, None)
         text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
     text += b" " * (-len(text) % 4)
@@ -532,7 +526,7 @@ def gltf_triangles(data: bytes) -> Placed:
     """
     document, buffer = _parts(data)
     for extension in document.get("extensionsRequired") or []:
-        if any(word in str(extension) for word in _IS_COMPRESSED):
+        if any(word in str(extension) for word in ("draco", "meshopt")):
             raise FaultyMeshError(f"the glTF file is compressed ({str(extension)[:40]})")
     with _faults():
         meshes: dict[int, list[Triangles]] = {}

@@ -28,7 +28,6 @@ from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import shell_word
 
-_SCHEMES = ("package", "model")
 _MAX_MANIFEST_BYTES = 1 << 16  # of package.xml; the name is at its beginning
 _MAX_DEPTH, _MAX_LISTED, _MAX_FOLDERS, _MAX_ENTRIES = 3, 300, 2000, 500  # of a search of folders
 _MAX_PARENTS = 32
@@ -101,7 +100,7 @@ class Places:
             OSError: A name is too long, or a folder cannot be read.
         """
         scheme, colon, path = reference.partition("://")
-        if colon and scheme in _SCHEMES:
+        if colon and scheme in ("package", "model"):
             return self._in_package(reference, path)
         if colon and scheme != "file":
             return UnusableMesh(

@@ -684,13 +684,9 @@ def _details(results: Sequence[ShardResult]) -> list[tuple[int, Mapping[str, Any
     return [detail for *_, detail in sorted(details, key=lambda entry: entry[:3])]
 
 
-_SEPARATOR = "/"
-"""Between the name of an agent and a name of its own, in names of columns, weights and memories."""
-
-
 def own_name(agent: str, name: str) -> str:
     """Return a name of an agent among those of all agents."""
-    return f"{agent}{_SEPARATOR}{name}"
+    return f"{agent}/{name}"
 
 
 def own_entries(entries: Mapping[str, Any], agent: str) -> dict[str, Any]:

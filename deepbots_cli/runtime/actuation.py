@@ -30,7 +30,6 @@ from deepbots_cli.runtime.readers import sees
 from deepbots_cli.runtime.sensing import Device, instrument
 from deepbots_cli.runtime.streams import Streams
 
-InitialValue = Callable[[], Sequence[float]]
 _TIME_TOLERANCE = 1e-9  # the error of a sum of durations, as a share of a substep
 PerJoint = float | Sequence[float]
 """A value for all joints, or one for each."""
@@ -52,7 +51,7 @@ class Response:
     def __init__(
         self,
         substep: float,
-        initial_value: InitialValue,
+        initial_value: Callable[[], Sequence[float]],
         delay: float = 0.0,
         time_constant: float = 0.0,
         rates: Sequence[float] = (),

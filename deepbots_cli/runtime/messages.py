@@ -361,8 +361,6 @@ _TICK_ROUNDING = 1e-9
 """The tolerance in timesteps with which a latency of a whole number of timesteps does not become one more by
 rounding."""
 
-PositionReader = Callable[[], tuple[Triple, Any]]
-
 
 class LossyChannel:
     """Delivers messages late, in another order, or not at all.
@@ -392,7 +390,7 @@ class LossyChannel:
         route: Route,
         timestep: float,
         delay: int = 0,
-        where: PositionReader | None = None,
+        where: Callable[[], tuple[Triple, Any]] | None = None,
         wire: FieldCodec | None = None,
         *,
         first_at_once: bool = False,

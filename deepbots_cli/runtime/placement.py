@@ -39,7 +39,6 @@ TOUCHING_TOLERANCE_M = 1e-9  # rounding
 _SAME_SPOT_M = 1e-6  # m by which the coordinates of a cell may be off
 MAX_ROUNDS = 30  # attitudes and kinds that are tried for one body in one attempt
 TRIES_PER_ROUND = 40  # spots for each of them
-_LEVEL_RPY = (0.0, 0.0, 0.0)
 
 
 class NoPlaceError(Exception):
@@ -532,7 +531,7 @@ class Forms:
         """Return the shape of an object."""
         return (self.chosen.get(body) or self.things[body]).shape
 
-    def footprint(self, body: str, rpy: Triple = _LEVEL_RPY) -> Footprint:
+    def footprint(self, body: str, rpy: Triple = (0.0, 0.0, 0.0)) -> Footprint:
         """Return the footprint with this attitude; that of a robot does not depend on it."""
         cached = self._robots.get(body)
         if cached is not None:

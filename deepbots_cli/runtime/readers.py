@@ -276,8 +276,6 @@ def reaction_torque(site: Site) -> Instrument:
 
 # Rays
 
-_DOWN_AXIS: Triple = (0.0, 0.0, -1.0)
-
 
 def ranging(site: Site) -> Instrument:
     """Measure the free distance along each ray from its frame, or one value for all rays, in m; or the
@@ -359,7 +357,7 @@ def reflectance(site: Site) -> Instrument:
     mount = site.mount
     spot = site.parameters["spot"]
     rays = [frames.compose(mount, frames.frame(ray)) for ray in beams.rays]
-    eyes = [(origin, frames.rotate(rotation, _DOWN_AXIS)) for origin, rotation in rays]
+    eyes = [(origin, frames.rotate(rotation, (0.0, 0.0, -1.0))) for origin, rotation in rays]
     read = site.engine.pose(site.robot, site.link)
     paint = PaintedGround(site.world.lines, spot / 2)
     rotate = frames.rotate

@@ -34,7 +34,6 @@ STUDIO_FOLDER = ".studio"
 
 _INTERRUPTED = 130
 """The exit code after Ctrl-C."""
-_TRAINING_VERBS = ("train", "resume")
 _PATH_VERBS = ("train", "try", "test", "eval", "render", "compare", "new", "lint", "diff")
 """The commands that have the options `--allow-path` and `--allow-code`."""
 _CODE_VERBS = (*_PATH_VERBS, "resume", "report", "diagnose")
@@ -317,7 +316,7 @@ class Commands:
 
     def trained_run(self, task: Task) -> Path | None:
         """Return the run that a command trains; None for other commands."""
-        is_training = task.record.words[0] in _TRAINING_VERBS and bool(task.record.run)
+        is_training = task.record.words[0] in ("train", "resume") and bool(task.record.run)
         return self._folder / task.record.run if is_training else None
 
     def newest_training(self, stem: str) -> Path | None:

@@ -36,7 +36,6 @@ _NAME_UPLOAD = """document.querySelectorAll(".q-uploader a, .q-uploader input").
   one.setAttribute("aria-label", "Choose a robot file");
   if (one.tagName == "A") one.setAttribute("role", "group"); })"""
 """A script for the browser: Quasar gives these controls no name, and puts one button into the other."""
-_REMEMBER_DARK = 'localStorage.setItem("deepbots-studio-dark", "{}")'
 
 
 def _section(name: str, label: str) -> ui.element:
@@ -402,7 +401,9 @@ class StudioPage:
     def _switch_dark(self) -> None:
         """Change the colors, also for the next visits of this browser."""
         self._set_dark(not self._is_dark)
-        ui.run_javascript(_REMEMBER_DARK.format("yes" if self._is_dark else "no"))
+        ui.run_javascript(
+            f'localStorage.setItem("deepbots-studio-dark", "{"yes" if self._is_dark else "no"}")'
+        )
 
     def _set_dark(self, dark: bool) -> None:
         # A chosen value: with `None`, the page would follow the system, and editor and robot would not.

@@ -265,7 +265,6 @@ _CHANGE = (
     """<q-td :props="props"><div class="studio-clamped" :title="props.value">{{ props.value }}</div></q-td>"""
 )
 _AGE_INTERVAL_S = 30.0
-_VIDEO_SIZE = "720x480"
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
 _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 """A column that a narrow page leaves out."""
@@ -442,7 +441,7 @@ class RunsTab:
 
     def make_video(self, run: Path) -> None:
         """Write a video of a run, and show it."""
-        self.make_file(["render", "--size", _VIDEO_SIZE], "video.mp4", run)
+        self.make_file(["render", "--size", "720x480"], "video.mp4", run)
 
     def _show_output(self, run: Path, task: Task) -> None:
         """Show the output of a command about a run."""

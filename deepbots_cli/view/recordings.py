@@ -415,16 +415,13 @@ def _metadata(player: Player, seed: int, digest: str) -> dict[str, str]:
     }
 
 
-_VERSIONED = ("python", "gymnasium", "mujoco", "numpy", "pybullet")
-
-
 def versions() -> dict[str, str]:
     """Return the versions of everything on which an episode depends."""
     installed = installed_versions()
     return {
         "deepbots": deepbots_cli.__version__,
         "platform": platform.platform(),
-        **{name: installed[name] for name in _VERSIONED},
+        **{name: installed[name] for name in ("python", "gymnasium", "mujoco", "numpy", "pybullet")},
     }
 
 

@@ -51,7 +51,6 @@ _DEFAULT_COLOR: Color = (0.72, 0.74, 0.78, 1.0)
 MAX_CELLS = 120  # the largest number of cells of a terrain along a side
 _MIN_BRIGHTNESS = 0.55  # the brightness of the lowest place of a terrain
 _SETTLING_S = 2.0  # the time for which a changed world is seen from the place before
-_EDGE_ANGLE = math.radians(35)  # sharper edges are drawn
 
 Points = NDArray[np.float32]
 
@@ -90,7 +89,7 @@ def with_edges(solid: trimesh.Trimesh) -> Any:
 
     # Files repeat a vertex for each face or normal; faces must share it to be shaded as one surface.
     solid.merge_vertices(merge_tex=True, merge_norm=True)
-    return trimesh.graph.smooth_shade(solid, angle=_EDGE_ANGLE)
+    return trimesh.graph.smooth_shade(solid, angle=math.radians(35))
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:

@@ -46,7 +46,6 @@ LOOPBACK = "127.0.0.1"
 FIRST_PORT = 8787
 """The port of the first page. A page without a chosen port takes the next free one."""
 _MAX_PORTS = 20
-_BACKLOG = 128
 
 
 class Refusal(NamedTuple):
@@ -160,7 +159,7 @@ def listening_socket(host: str, port: int | None, first: int = FIRST_PORT) -> so
                 # Otherwise a port is refused for about a minute after a server that had connections.
                 listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
                 listener.bind(address)
-                listener.listen(_BACKLOG)
+                listener.listen(128)
             except OSError:
                 listener.close()
                 raise

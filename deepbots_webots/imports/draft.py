@@ -51,8 +51,6 @@ ROBOT_BASES = frozenset(
 SUPERVISOR_BASES = frozenset(
     ["CSVSupervisorEnv", "EmitterReceiverSupervisorEnv", "SupervisorCSV", "SupervisorEmitterReceiver"]
 )
-BOTH_BASES = frozenset(["RobotSupervisorEnv", "RobotSupervisor"])
-_NORMALIZE = frozenset(["normalize_to_range", "normalizeToRange"])
 _BINDS_UNSEEN = frozenset(["setattr", "exec", "eval", "globals", "vars", "__dict__"])
 """Names of Python that may bind names which the files do not show."""
 
@@ -153,7 +151,8 @@ class Controller:
         calls = [
             node
             for node in ast.walk(function)
-            if isinstance(node, ast.Call) and module.resolved(node.func) in _NORMALIZE
+            if isinstance(node, ast.Call)
+            and module.resolved(node.func) in {"normalize_to_range", "normalizeToRange"}
         ]
         calls.sort(key=lambda call: (call.lineno, call.col_offset))
         read = (self._normalized(module, call, names.get(call, "")) for call in calls[:MAX_VALUES])
@@ -521,7 +520,7 @@ def _roles(
         if robot.index in roots and any(device.type.endswith("Motor") for device in robot.devices.values())
     ]
     for index in with_motors:
-        for both in controllers(modules[index], BOTH_BASES):
+        for both in controllers(modules[index], frozenset(["RobotSupervisorEnv", "RobotSupervisor"])):
             return {index: both}, both, False
     acting: dict[int, Controller | None] = {
         index: classes[0] for index in with_motors if (classes := controllers(modules[index], ROBOT_BASES))

@@ -40,8 +40,6 @@ from deepbots_webots.shapes import (
 from deepbots_webots.syntax import Node, WorldFindings
 
 _WORDS_OF_YAML = frozenset(["true", "false", "null", "yes", "no", "on", "off"])
-_RESERVED = _WORDS_OF_YAML | RESERVED
-_COMPONENTS = frozenset("xyz")
 _MAX_LENGTH = 40
 
 
@@ -49,7 +47,7 @@ def scenario_name(text: str, fallback: str = "part") -> str:
     """Return a name of the scenario language for a name of Webots or Python: `polePosSensor` becomes
     `pole_pos_sensor`."""
     name = re.sub("__+", "_", suggested_name(text))[:_MAX_LENGTH].strip("_") or fallback
-    is_taken = name in _RESERVED or name in _COMPONENTS
+    is_taken = name in _WORDS_OF_YAML | RESERVED or name in ("x", "y", "z")
     return f"{fallback}_{name}" if is_taken or name[0].isdigit() else name
 
 

@@ -76,7 +76,6 @@ _SUFFIXES_OF: Mapping[str, Sequence[str]] = {
     "--start": (*_DRAWN, PAGE),
 }
 """The files that an option applies to; other options apply to all."""
-_DEFAULT_SIZES = {PICTURE: (640, 480)}
 MAX_SIDE = 4096
 _SIZE = re.compile(r"[0-9]{1,5}[xX][0-9]{1,5}")
 MAX_EPISODES = 10_000
@@ -240,7 +239,7 @@ def command(
     kind = _checked_kind(file, present)
     from deepbots_cli.view import pictures
 
-    width, height = size or _DEFAULT_SIZES.get(kind, (480, 320))
+    width, height = size or ((640, 480) if kind == PICTURE else (480, 320))
     shot = pictures.Viewpoint(width, height, eye, target, follow)
     if is_robot(shown):
         check_options(ctx, "a robot file")

@@ -24,7 +24,6 @@ _LIBRARY_TITLES = {
     "stable_baselines3": "Stable-Baselines3",
     "sb3_contrib": "sb3-contrib",
 }
-_UNIFORM = "uniform"
 
 _MANY_ENVIRONMENTS = 16
 """The number of environments from which batches grow with their number, so that an epoch has 8 batches.
@@ -90,7 +89,7 @@ _OFF_POLICY = {
         "the smaller of 1_000 and a tenth of `total_timesteps`; with `replay: her`, `environments` times the"
         " steps of the longest episode, at least 1_000",
     ),
-    "replay": Default(lambda *_: _UNIFORM, "uniform"),
+    "replay": Default(lambda *_: "uniform", "uniform"),
 }
 _DQN = {
     "buffer_size": Default(lambda _, total, __: min(total, 100_000), "`total_timesteps`, at most 100_000"),

@@ -55,7 +55,6 @@ from deepbots_cli.learning.runs.run import opened_archive
 from deepbots_cli.learning.sb3 import internals
 from deepbots_cli.learning.sb3.internals import Counter, episode_starts
 
-_VARIABLES = "pytorch_variables"
 _STORAGES = ("Float", "Double", "Half", "BFloat16", "Long", "Int", "Short", "Char", "Byte", "Bool")
 _PLAIN_GLOBALS = {
     "collections OrderedDict",
@@ -140,7 +139,7 @@ def load(path: Path, model: BaseAlgorithm) -> None:
     size = sum(tensor.numel() * tensor.element_size() for tensor in model.policy.state_dict().values())
     # The weights and the two moments of Adam take at most three times the size of the policy.
     tensors = _read(path, 4 * size + _OVERHEAD_BYTES)
-    variables = tensors.pop(_VARIABLES, {})
+    variables = tensors.pop("pytorch_variables", {})
     # Before the library looks the names up in the model.
     if tensors.keys() != set(_parts(model)):
         raise RunError(

@@ -38,8 +38,6 @@ from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.worlds import Array
 from deepbots_cli.words import sentence_list
 
-_COPIED = ("rewards", "returns", "episode_starts", "values", "log_probs", "advantages")
-
 
 def mirrored_observations(symmetry: Symmetry, observations: Array) -> Array:
     """Return the mirror images of observations (..., numbers)."""
@@ -78,7 +76,7 @@ def mirrored_experience(model: Any, symmetry: Symmetry) -> Iterator[None]:
         gamma=buffer.gamma,
         n_envs=2 * buffer.n_envs,
     )
-    for name in _COPIED:
+    for name in ("rewards", "returns", "episode_starts", "values", "log_probs", "advantages"):
         getattr(doubled_buffer, name)[...] = np.tile(getattr(buffer, name), 2)
     doubled_buffer.observations[:, : buffer.n_envs] = buffer.observations
     doubled_buffer.observations[:, buffer.n_envs :] = mirrored_observations(symmetry, buffer.observations)
