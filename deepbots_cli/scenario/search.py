@@ -39,16 +39,14 @@ class SearchSpace(BaseModel):
     whole: bool = False
     choices: tuple[str, ...] = ()
 
-    def text(self, value: float | str) -> str:
-        """Return a value as it is written in a scenario, rounded; never outside the range."""
+    def text(self, value: float | str, *, is_exact: bool = False) -> str:
+        """Return a value as it is written in a scenario, rounded unless `is_exact`; never outside the range."""
         if isinstance(value, str):
             return value
         if self.whole:
             return str(round(value))
-        width = self.high - self.low
-        size = abs(value) if self.log else min(abs(value) or width, width)
-        is_end = value in (self.low, self.high)
-        rounded = value if is_end else round(value, _DIGITS - 1 - math.floor(math.log10(size)))
+        size = abs(value) if self.log else self.high - self.low
+        rounded = value if is_exact else round(value, _DIGITS - 1 - math.floor(math.log10(size)))
         return f"{min(max(rounded, self.low), self.high):.12g} {self.unit}".rstrip()
 
     def value_of(self, text: str) -> float | str | None:

@@ -400,7 +400,7 @@ def test_a_value_is_rounded_and_stays_in_its_range():
         "0.99998 m",
     ]
     assert SearchSpace(low=1e-5, high=1e-2, log=True).text(0.000123456) == "0.0001235"
-    assert SearchSpace(low=0, high=10).text(0.005) == "0.005"
+    assert SearchSpace(low=0, high=10).text(0.005, is_exact=True) == "0.005"
 
 
 def test_a_text_of_the_scenario_is_a_value_of_the_space_or_none():

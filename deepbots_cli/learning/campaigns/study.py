@@ -117,8 +117,12 @@ class StudyRecord(CampaignRecord):
         ]
 
     def texts(self, values: Mapping[str, Any]) -> dict[str, str]:
-        """Return the values of a trial as they are written in a scenario, by key."""
-        return {name: space.text(values[name]) for name, space in self.search.items()}
+        """Return the values of a trial as they are written in a scenario, by key; those of the scenario itself
+        as they are."""
+        return {
+            name: space.text(values[name], is_exact=values[name] == self.present.get(name))
+            for name, space in self.search.items()
+        }
 
 
 _Number = Annotated[float, Field(ge=-1e300, le=1e300)]
