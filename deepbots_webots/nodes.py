@@ -275,8 +275,7 @@ def type_problem(field_type: str, value: Value) -> str:
         return f"not {described}"
     if not value.is_finite:
         return "too large a number"
-    is_whole = all(item.is_integer() for item in value.items if isinstance(item, float))
-    if kind is _KINDS["Int32"] and not is_whole:
+    if kind is _KINDS["Int32"] and any(isinstance(item, float) and item % 1 for item in value.items):
         return f"not {described}"
     if count % kind.size or not (is_list or count == kind.size):
         return f"{count} number{'s' * (count != 1)}, and not {described}"

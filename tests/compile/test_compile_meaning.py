@@ -32,13 +32,15 @@ from deepbots_cli import api
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import copy_names
-from deepbots_cli.compiler.inventory import definition, names_at
+from deepbots_cli.compiler.inventory import definition, names_at, namespace_at
+from deepbots_cli.compiler.namespace import RobotScope, SupervisorScope
 from deepbots_cli.diagnostics import MAX_FINDINGS, RULES, Finding
 from deepbots_cli.document import shipped
 from deepbots_cli.document.load import load
 from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, walk
+from deepbots_cli.expressions.types import Context
 from deepbots_cli.program import identity
 from deepbots_cli.program.identity import digest, interface, to_json
 from deepbots_cli.scenario.actuators import ACTUATORS
@@ -594,23 +596,25 @@ def test_a_disturbance_may_push_links_and_a_touch_sensor_feels_bodies_and_the_gr
     ],
 )
 def test_a_name_leads_to_its_definition(rocking, name, text, place):
-    target = definition(rocking, name)
+    target = definition(SupervisorScope(rocking.namespace, Context.REWARD), name)
     assert text.startswith(target.span.text)
     assert target.span.source.text.startswith(text, target.span.start)
     assert target.span.source.name.endswith(place)
 
 
 def test_on_board_the_names_of_the_robot_come_first(searching):
-    assert definition(searching, "proximity", "epuck").span.location.endswith("epuck.yaml:4:3")
-    assert definition(searching, "proximity") is None
-    assert definition(searching, "nothing.at.all") is None
+    on_board = RobotScope(searching.namespace, Context.APPLY, "epuck", {})
+    supervisor = SupervisorScope(searching.namespace, Context.REWARD)
+    assert definition(on_board, "proximity").span.location.endswith("epuck.yaml:4:3")
+    assert definition(supervisor, "proximity") is None
+    assert definition(supervisor, "nothing.at.all") is None
 
 
 def test_a_scenario_that_cannot_be_read_has_no_names(tmp_path):
     broken = tmp_path / "broken.yaml"
     broken.write_text("deepbots: 1\nname: {")
     assert names_at(api.load(broken), "joint") == []
-    assert definition(api.load(broken), "joint") is None
+    assert namespace_at(api.load(broken), ()) is None
 
 
 # Cases of the evaluation: the scenario once more, under other settings
