@@ -458,5 +458,6 @@ def _absorbs(error: Finding, warning: Finding) -> bool:
     inner, outer = error.span, warning.span
     if inner.source.name != outer.source.name:
         return False
+    # Warnings about how a value is spelled.
     within = warning.code in {"DB003", "DB004"} and outer.start <= inner.start and inner.end <= outer.end
     return within or (inner.start, inner.end) == (outer.start, outer.end)

@@ -73,6 +73,7 @@ def diagnostic(finding: Finding, locator: Locator) -> types.Diagnostic:
         code=finding.code,
         source="deepbots",
         related_information=also or None,
+        # Editors show unnecessary text faded.
         tags=[types.DiagnosticTag.Unnecessary] if finding.code in {"DB205", "DB901"} else None,
         data={"name": finding.name},
     )

@@ -89,7 +89,7 @@ def with_edges(solid: trimesh.Trimesh) -> Any:
 
     # Files repeat a vertex for each face or normal; faces must share it to be shaded as one surface.
     solid.merge_vertices(merge_tex=True, merge_norm=True)
-    return trimesh.graph.smooth_shade(solid, angle=math.radians(35))
+    return trimesh.graph.smooth_shade(solid, angle=math.radians(35))  # sharper edges are drawn
 
 
 def rigid_groups(model: RobotModel) -> dict[str, tuple[str, frames.Frame]]:
