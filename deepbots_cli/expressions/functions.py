@@ -161,8 +161,9 @@ class Function(NamedTuple):
 
     The meaning of a pure function is one of these, or both:
         python: An expression over the names of the arguments (`low` and `high` of a range, `*x` of many), the
-            module `math`, `abs`, `min` and `max`. Without a `helper` it contains each argument once. Generated
-            code prints it, folding evaluates it. An operator of many arguments combines them from left to right.
+            module `math`, `abs`, `min` and `max`. Without a `helper` it contains each argument once.
+            Generated code prints it, folding evaluates it. An operator of many arguments combines them from
+            left to right.
         helper: The function of `runtime.formulas` that generated code calls instead: it reads better, and
             does the same to the bit.
         array: The same over numpy arrays: names of the arguments, `np`, and the names of `arrays.evaluate`.

@@ -158,8 +158,8 @@ def _wave(function: Callable[[float], float], peak: float, a: Interval) -> Inter
     # At 1e6, neighboring doubles are 1e-10 apart, and `_passes` loses digits.
     if not a.is_finite or a.high - a.low >= 2 * math.pi or max(abs(a.low), abs(a.high)) > 1e6:
         return SIGNED_UNIT
-    ends = (function(a.low), function(a.high))
-    return Interval(-1.0 if _passes(a, peak - math.pi) else min(ends), 1.0 if _passes(a, peak) else max(ends))
+    extremes = [-1.0] * _passes(a, peak - math.pi) + [1.0] * _passes(a, peak)
+    return hull([single(value) for value in (function(a.low), function(a.high), *extremes)])
 
 
 def tangent(a: Interval) -> Interval:

@@ -421,8 +421,8 @@ def _logged_episodes(
     messages: Iterator[tuple[str, float, dict[str, Any]]], note: Callable[[str], object]
 ) -> Iterator[LoggedEpisode]:
     """Yield the episodes with a step; their numbers are their places in the log, since a robot that restarts
-    counts from the start. Calls `note` if there are more than `MAX_LOGGED_STEPS` steps, of which the others are
-    left out."""
+    counts from the start. Calls `note` if there are more than `MAX_LOGGED_STEPS` steps, of which the others
+    are left out."""
     episodes: list[list[dict[str, Any]]] = []
     begun = 0.0
     events: list[str] = []

@@ -40,7 +40,8 @@ class SearchSpace(BaseModel):
     choices: tuple[str, ...] = ()
 
     def text(self, value: float | str, *, is_exact: bool = False) -> str:
-        """Return a value as it is written in a scenario, rounded unless `is_exact`; never outside the range."""
+        """Return a value as it is written in a scenario, rounded unless `is_exact`; never outside the
+        range."""
         if isinstance(value, str):
             return value
         if self.whole:

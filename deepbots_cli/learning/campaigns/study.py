@@ -117,8 +117,8 @@ class StudyRecord(CampaignRecord):
         ]
 
     def texts(self, values: Mapping[str, Any]) -> dict[str, str]:
-        """Return the values of a trial as they are written in a scenario, by key; those of the scenario itself
-        as they are."""
+        """Return the values of a trial as they are written in a scenario, by key; those of the scenario
+        itself are exact."""
         return {
             name: space.text(values[name], is_exact=values[name] == self.present.get(name))
             for name, space in self.search.items()

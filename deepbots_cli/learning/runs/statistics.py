@@ -292,8 +292,8 @@ def compare_seeds(
     """Compare two groups of runs by one score per seed: Welch's interval of the difference of their means (B.
     L. Welch, Biometrika 34, 1947).
 
-    The interval is cut at the largest difference that the `bounds` of a score allow. Equal scores of all seeds
-    of each group have none unless a permutation test separates the groups. The seeds of both groups
+    The interval is cut at the largest difference that the `bounds` of a score allow. Equal scores of all
+    seeds of each group have none unless a permutation test separates the groups. The seeds of both groups
     are independent, also where they have the same numbers: two trainings diverge after the first update.
     `error` is the probability that the interval misses the true difference.
     """
@@ -303,8 +303,8 @@ def compare_seeds(
         return Difference(mean, None, improvement)
     parts = [variance(group) / len(group) for group in (first, second)]
     standard_error = math.sqrt(sum(parts))
-    # Without any spread the degrees of freedom below are 0 / 0. Of all ways to divide the scores into two such
-    # groups, two separate them: a permutation test.
+    # Without any spread the degrees of freedom below are 0 / 0. A permutation test decides: of all ways to
+    # divide the scores into two such groups, two separate them.
     if standard_error == 0:
         is_clear = mean == 0 or 2 / math.comb(len(first) + len(second), len(first)) <= error
         return Difference(mean, (mean, mean) if is_clear else None, improvement)
