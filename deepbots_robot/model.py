@@ -44,7 +44,7 @@ _HIDDEN = r"\x7f-\x9f\u2028-\u202e\u2066-\u2069"
 Name = Annotated[str, Meta(min_length=1, max_length=200, pattern=rf"^[^\x00-\x1f{_HIDDEN}]+$(?!\n)")]
 LINE = rf"^[^\x00-\x1f{_HIDDEN}]*$(?!\n)"
 Line = Annotated[str, Meta(max_length=2000, pattern=LINE)]
-Text = Annotated[str, Meta(max_length=2000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_HIDDEN}]*$")]
+Text = Annotated[str, Meta(max_length=100_000, pattern=rf"^[^\x00-\x08\x0b-\x1f{_HIDDEN}]*$")]
 Digest = Annotated[str, Meta(pattern=r"^[0-9a-f]{64}$(?!\n)", description="SHA-256 in hexadecimal.")]
 Finite = Annotated[float, Meta(ge=-1e300, le=1e300)]
 Positive = Annotated[float, Meta(gt=0, le=1e12)]

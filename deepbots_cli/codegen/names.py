@@ -167,7 +167,7 @@ _RESERVED_NAMES = frozenset(
         "Iterator",
         "previous_reward",
     }
-    | {*RUNTIME_NAMES, *LOOP_VARIABLES, "copysign", "ranges"}
+    | {*RUNTIME_NAMES, *COLUMN_NAMES, *LOOP_VARIABLES, "copysign", "np", "ranges"}
     | {"bodies", "body", "layout", "spot", "spots"}
 )
 

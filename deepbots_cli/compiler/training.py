@@ -136,9 +136,14 @@ class _LevelsReader(NamespaceReader):
         elif self._parameter(name) is not None:
             help = "name those in place of it"
             self._values.add("DB407", span, f"`{name}` is computed from other parameters", help)
-        elif not self._is_assigned(name) and not self._values.is_invalid(name):
+        elif not self._is_assigned(name) and not self._is_invalid(name):
             self._values.add("DB205", span, f"`{name}` has one value in all episodes", if_fixed)
         return None
+
+    def _is_invalid(self, name: str) -> bool:
+        """Return whether the definition of a parameter had a finding."""
+        symbol = self._namespace.resolve(name)
+        return self._values.is_invalid(name) or (symbol is not None and symbol.type is None)
 
     def _is_assigned(self, name: str) -> bool:
         """Return whether `--set` gives the parameter its value."""
@@ -440,6 +445,8 @@ class _SymmetryReader:
             sign = -1.0 if self._changes_sign(number.name) else 1.0
             sources.append(index)
             factor, offset = (1.0, 0.0) if number.is_truth else _between_ranges(number, image_number, sign)
+            if section == "action" and max(abs(abs(factor) - 1.0), abs(offset)) > _TOLERANCE:
+                wrong[number.name] = f"its range, mirrored, is not that of `{image}`"
             factors.append(factor)
             offsets.append(offset)
         self._report_missing(section, missing, [number.name for number in numbers])
@@ -449,7 +456,8 @@ class _SymmetryReader:
                 "DB203",
                 (*_PATH, "flip"),
                 f"the mirror image of `{name}` is not possible{more}: {reason}",
-                "list under `flip` both numbers of a pair, or none; truth values have no sign",
+                "list under `flip` both numbers of a pair, or none; truth values have no sign, and a single action"
+                " that changes its sign needs a range such as -1 .. 1",
             )
         if missing or wrong:
             return None

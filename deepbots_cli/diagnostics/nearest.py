@@ -132,7 +132,6 @@ _TERNARY = (
     rf"\s*(?P<left>\()?\s*(?P<open>{_SIDE})\s*\?\s*(?P<value>{_SIDE})\s*:\s*(?P<otherwise>{_SIDE})\s*"
     r"(?P<right>(?(left)\)))\s*"
 )
-_BARS = r"\|\s*([\w(.+-](?:[^|]*[\w.)])?)\s*\|"  # a whole value between two bars
 _MAX_FOREIGN = 200
 
 
@@ -141,6 +140,7 @@ def as_conditional(text: str) -> str | None:
     text."""
     if len(text) > _MAX_FOREIGN:
         return None
+    text = re.sub(r"\s*\|\|\s*", " or ", re.sub(r"\s*&&\s*", " and ", text))
     match = re.fullmatch(_IF, text) or re.fullmatch(_TERNARY, text)
     if match is None:
         return None
@@ -153,10 +153,22 @@ def as_conditional(text: str) -> str | None:
 
 
 def without_bars(text: str) -> str | None:
-    """Return the text with `abs(x)` for each `|x|`, also within another; None if it has none, or keeps a bar."""
-    if len(text) > _MAX_FOREIGN or not re.search(_BARS, text):
+    """Return the text with `abs(x)` for each `|x|`, also within another; None if it has none, or an odd bar."""
+    if len(text) > _MAX_FOREIGN or "|" not in text:
         return None
-    return without_bars(plain) if "|" in (plain := re.sub(_BARS, r"abs(\1)", text)) else plain
+    plain, open_bars, after_value = "", 0, False
+    for token in re.findall(r"[\w.]+|\s+|.", text):
+        if token == "|" and after_value:
+            plain, open_bars = plain.rstrip() + ")", open_bars - 1
+        elif token == "|":
+            plain, open_bars = plain + "abs(", open_bars + 1
+        else:
+            plain += token
+            is_end = token not in ("and", "or", "not", "if", "else") and re.match(r"[\w.)\]]", token)
+            after_value = after_value if token.isspace() else is_end is not None
+        if open_bars < 0:
+            return None
+    return None if open_bars else plain.replace("abs( ", "abs(")
 
 
 # The help for functions of other languages.
@@ -167,6 +179,10 @@ FOREIGN_FUNCTION_HELP = {
     "gauss": "a draw is `normal(mean +- std)`",
     "randint": "a draw of whole numbers is `integer(low .. high)`",
     "clip": "write `clamp(x, low .. high)`",
+    "fabs": "write `abs(x)`",
+    "maximum": "write `max(a, b)`",
+    "minimum": "write `min(a, b)`",
+    "tanh": "write `1 - 2 / (exp(2 * x) + 1)`",
     "pow": "a power is `a ^ b`",
     "square": "a power is `a ^ b`: `x ^ 2`",
     "radians": "write the unit: `30 deg`",

@@ -394,13 +394,20 @@ class Chain:
         inward = frames.inverse(root[1])
         goal = frames.rotate(inward, frames.subtract(target, root[0]))
         local_attitude = None if attitude is None else frames.multiply(inward, frames.normalized(attitude))
-        best = self._search(list(positions), goal, local_attitude)
+        best = self._search(self._clamped(positions), goal, local_attitude)
         for share in (0.5, 0.25, 0.75):
             if best[1] > TOLERANCE_M * TOLERANCE_M:
                 other = self._search(self._within_ranges(positions, share), goal, local_attitude)
                 # An arm does not jump to another pose that is hardly nearer.
                 best = other if other[1] < STALL_RATIO * best[1] else best
         return [best[0][index] for index in self._driven]
+
+    def _clamped(self, positions: Sequence[float]) -> list[float]:
+        """Return these positions, with the driven joints within their ranges."""
+        joints = list(positions)
+        for index, (low, high) in zip(self._driven, self._ranges, strict=True):
+            joints[index] = min(max(joints[index], low), high)
+        return joints
 
     def _within_ranges(self, positions: Sequence[float], share: float) -> list[float]:
         """Return these positions, with the driven joints at this share of their ranges, if they have any."""

@@ -420,7 +420,7 @@ def is_bare_number(value: TypedNode) -> bool:
             return all(is_bare_number(part) for part in parts)
         case Operation(args=parts) | Vector(items=parts):
             return not value.type.boolean and all(is_bare_number(part) for part in parts)
-        case Invocation(function="uniform" | "normal" | "choice", args=parts):
+        case Invocation(function="uniform" | "integer" | "normal" | "choice", args=parts):
             return all(is_bare_number(part) for part in parts)
         case _:
             return False

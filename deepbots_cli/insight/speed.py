@@ -83,6 +83,17 @@ class CallTimer:
         self.clock += time.perf_counter() - clock
         return result
 
+    def paused(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that calls `function`, and adds no time of the calls within it."""
+
+        def call(*arguments: Any, **named: Any) -> Any:
+            before = self.cpu, self.clock
+            result = function(*arguments, **named)
+            self.cpu, self.clock = before
+            return result
+
+        return call
+
 
 def measure(
     compiled: Compiled,
@@ -163,9 +174,8 @@ class FasterEngine:
         return (
             f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
             f" ({self.steps_per_second:,.0f} against "
-            f"{self.used_steps_per_second:,.0f} steps/s). To use it, add the line `engine: {self.engine}` to"
-            " the section `world`, or give "
-            f"--engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
+            f"{self.used_steps_per_second:,.0f} steps/s). To use it, write `engine: {self.engine}` in the section"
+            f" `world`, or give --engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
             f"{f' {busy_note(self.spread)}' if self.spread > LARGE_SPREAD else ''}"
         )
 
@@ -274,13 +284,7 @@ def _timed(world: Supervisor, engine: str, steps: int, seed: int, *, seconds: fl
     physics = CallTimer(plain)
     world.physics = physics
 
-    def begin() -> None:
-        """Count physics steps that let a world settle as part of the reset."""
-        before = physics.cpu, physics.clock
-        world.reset()
-        physics.cpu, physics.clock = before
-
-    reset = CallTimer(begin)
+    reset = CallTimer(physics.paused(world.reset))
     world.reset(seed=seed)
     world.action_space.seed(seed)
     actions = cycle([world.action_space.sample() for _ in range(_ACTIONS)])
@@ -304,7 +308,8 @@ def _timed(world: Supervisor, engine: str, steps: int, seed: int, *, seconds: fl
 def _batch(compiled: Compiled, count: int, steps: int, seed: int) -> Speed:
     with closing(api.make_vec(compiled, count)) as worlds:
         batch = worlds.batch
-        physics, begin = CallTimer(batch.engine.step), CallTimer(batch.begin)
+        physics = CallTimer(batch.engine.step)
+        begin = CallTimer(physics.paused(batch.begin))
         worlds.reset(seed=seed)
         worlds.action_space.seed(seed)
         actions = [worlds.action_space.sample() for _ in range(max(MIN_STEPS, steps // count))]

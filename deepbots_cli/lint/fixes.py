@@ -13,7 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 from deepbots_cli.compiler import CheckedScenario
-from deepbots_cli.diagnostics import Edit, Finding, Findings, Source, edited
+from deepbots_cli.diagnostics import Edit, Finding, Findings, Source, Span, edited
 from deepbots_cli.document import files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.document.nodes import MappingNode, enclosing_entry
@@ -162,14 +162,14 @@ class Fixer:
         """Return findings whose fixes do not overlap. Errors come first: a warning may follow from an error
         that keeps rules from running."""
         applicable: list[Finding] = []
-        ends: dict[Source, int] = {}
+        taken: list[Span] = []
         for finding in sorted(
             linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key
         ):
             edits = finding.fix.edits if finding.fix and self._is_applicable(finding, linted) else ()
-            if edits and all(edit.span.start >= ends.get(edit.span.source, 0) for edit in edits):
+            if edits and not any(edit.span.overlaps(span) for edit in edits for span in taken):
                 applicable.append(finding)
-                ends |= {edit.span.source: edit.span.end for edit in edits}
+                taken += [edit.span for edit in edits]
         return applicable
 
     def _is_applicable(self, finding: Finding, linted: LintResult) -> bool:

@@ -21,6 +21,7 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import msgspec
 import numpy as np
 import onnx
 import onnxruntime
@@ -146,6 +147,23 @@ def test_a_scenario_that_cannot_be_exported_is_refused_by_name(overrides, named)
     with pytest.raises(UsageError) as caught:
         untrained_bundle("find_and_avoid", *overrides)
     assert named in str(caught.value)
+
+
+def test_a_sensor_and_an_actuator_of_one_name_cannot_be_exported(tmp_path: Path) -> None:
+    text = shipped.scenario_path("cartpole").read_text("utf-8").replace("wheels", "pole_angle")
+    file = tmp_path / "same.yaml"
+    file.write_text(text.replace("../robots/urdf/cartpole.urdf", "cartpole"), encoding="utf-8")
+    with pytest.raises(UsageError, match=r"two values called `cart\.pole_angle`"):
+        untrained_bundle(str(file))
+
+
+def test_what_a_scenario_says_in_many_words_is_read_again() -> None:
+    _, _, loaded = untrained_bundle("cartpole")
+    summary = "balances " * 1000
+    info = msgspec.structs.replace(
+        loaded.info, scenario=msgspec.structs.replace(loaded.info.scenario, summary=summary)
+    )
+    assert model.decode(model.encode(info)).scenario.summary == summary
 
 
 @pytest.mark.parametrize(

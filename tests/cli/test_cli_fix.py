@@ -102,6 +102,18 @@ def filled(change: tuple[str, str], word: str) -> tuple[str, str]:
     return change[0], change[1] % word
 
 
+def test_all_fixes_of_a_round_are_applied(deepbots, scenario):
+    """Each of 14 fixes inserts above and removes below."""
+    numbers = range(14)
+    path = scenario(
+        "deepbots: 1\nextends: cartpole\nname: Many\nsignals:\n"
+        + "".join(f"  s{i}: position(cart).x / m + {i}\n" for i in numbers)
+        + "observation:\n"
+        + "".join(f"  s{i}: -30 .. 30\n" for i in numbers)
+    )
+    assert "14 fixed in 1 file" in deepbots("lint", path, "--fix", "--unsafe-fixes").err
+
+
 # The changes of a right file, further options, the changes that are left, and the exit code.
 FIXED = {
     "a decimal comma": (

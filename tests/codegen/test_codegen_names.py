@@ -138,6 +138,19 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
     assert actual == expected
 
 
+@pytest.mark.parametrize("name", ["maximum", "minimum", "np"])
+def test_a_name_is_no_function_of_a_batch(tmp_path: Path, name: str) -> None:
+    file = tmp_path / "named.yaml"
+    file.write_text(
+        f"deepbots: 1\nextends: cartpole\nname: N\naugment: {{{name}: 'max(0.1, min(time / s, 0.5)) + 1'}}\n"
+        f"observation: {{{name}: 0 .. 2}}\n",
+        encoding="utf-8",
+    )
+    with closing(api.make_vec(api.compile(file), 2)) as worlds:
+        worlds.reset(seed=0)
+        worlds.step(np.array([0, 1]))
+
+
 @pytest.mark.parametrize("name", ["class", "None", "lambda", "Any", "float", "Supervisor"])
 def test_a_name_of_a_scenario_that_is_a_word_of_python_gives_a_class(tmp_path: Path, name: str) -> None:
     environment = begun(api.make(api.load(scenario(tmp_path, name=f'"{name}"')), engine="exact"))

@@ -193,6 +193,7 @@ OF_CARTPOLE: list[tuple[str, Edits]] = [
     ("DB105", (robot("joints: {pole_hinge: {range: 1 .. 1 rad}}"),)),
     ("DB503", (robot("joints: {pole_hinge: {range: -1 .. 1 m}}"),)),
     ("DB502", (robot("joints: {pole_hinge: {range: -1 .. 1}}"),)),
+    ("DB502", (("uniform(-1 .. 1 deg)", "integer(1 .. 2)"),)),
     ("DB203", (robot('joints: {"wheel_*": {range: -1 .. 1 rad}}'),)),
     ("DB503", (robot("joints: {pole_hinge: {armature: 0.1 kg}}"),)),
     ("DB105", (robot("joints: {pole_hinge: {armature: -1 kg*m^2}}"),)),

@@ -1061,6 +1061,7 @@ SPOT = "parameters.spot=uniform(0 -1 .. 10 1 m);curriculum.set="
             "`level` has a value in each level",
             "remove `level`",
         ),
+        ("parameters.level=integer(0 .. nothing)", "DB402", "nothing", "unknown name `nothing`", ""),
         ("curriculum.per_world=mark", "DB407", "mark", "computed from other parameters", "those"),
         ("curriculum.per_world=lvl", "DB201", "lvl", "there is no parameter `lvl`", "level"),
         (

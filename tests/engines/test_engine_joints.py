@@ -191,6 +191,9 @@ def test_ranges_of_joints_are_kept_and_what_is_out_of_reach_is_approached():
     chain = Chain(planar(), "tip", ["shoulder", "elbow"])
     _, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (0.05, 0.0, 0.0), None)
     assert elbow == 2.5
+    reached = (0.5 * (cos(0.3) + cos(2.9)), 0.5 * (sin(0.3) + sin(2.9)), 0.0)
+    _, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 2.6], reached, None)
+    assert elbow <= 2.5
     shoulder, elbow = chain.solve(IDENTITY_FRAME, [0.0, 0.3, 0.8], (3.0, 4.0, 0.0), None)
     assert hypot(
         cos(shoulder) + cos(shoulder + elbow), sin(shoulder) + sin(shoulder + elbow)

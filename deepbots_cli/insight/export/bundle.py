@@ -23,8 +23,8 @@ from deepbots_cli.compiler.inputs import INPUTS_FOLDER
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import MissingExtraError, RunError, UsageError
 from deepbots_cli.insight.statements import render_template
-from deepbots_cli.learning.runs.run import ModelName, Run, steps_of
-from deepbots_cli.learning.runs.verdict import RunVerdict, run_verdict
+from deepbots_cli.learning.runs.run import ModelName, ModelRef, Run, steps_of
+from deepbots_cli.learning.runs.verdict import RunVerdict, last_episodes, run_verdict
 from deepbots_cli.program import Program, identity
 from deepbots_cli.program.task import ActionRange
 from deepbots_cli.rollout.source import Source, SourceKind
@@ -93,6 +93,10 @@ def bundle_files(run: Run, name: ModelName, key: Path | None = None) -> dict[Pur
         info, files={name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
     )
     description = model.encode(info)
+    try:
+        model.decode(description)
+    except model.BundleError as error:
+        raise UsageError(f"a robot could not read this bundle: {error}") from error
     files = {bundle.BUNDLE_NAME: description, **files}
     if key is not None:
         try:
@@ -132,7 +136,11 @@ def _info(run: Run, name: ModelName, step: ControlStep) -> BundleInfo:
     from deepbots_robot import model
 
     program, record = run.program, run.record
-    verdict = run_verdict(run.path, record) if name == "best" else RunVerdict(None, None)
+    if name == "best":
+        verdict = run_verdict(run.path, record)
+    else:
+        newest = last_episodes(ModelRef(run, name, is_named=True))
+        verdict = RunVerdict(newest[1].solved, newest[1]) if newest else RunVerdict(None, None)
     if program.others is not None:
         verdict = verdict.of_agent(program.others.agent)
     result = verdict.evaluation

@@ -80,7 +80,7 @@ class Readings:
         self._program = program
         self._timestep = timestep or program.period
         self.deployment = Deployment(program)
-        self._supplied_by = {reading_key(key): text for key, text in program.supplied_by}
+        self._supplied_by = {reading_key(key): " ".join(text.split()) for key, text in program.supplied_by}
         self.direct = self.deployment.sensed
         """The readings of the world that are components of a sensor."""
 

@@ -95,6 +95,8 @@ class Graph:
         return name
 
     def output(self, name: str, value: str, dtype: Any, *shape: int | str) -> None:
+        if any(name == entry.name for entry in (*self.inputs, *self.outputs)):
+            raise UsageError(f"the policy would have two values called `{name}`; rename one in the scenario")
         # A node of its own, because the value may be an input, or that of another output, too.
         self.nodes.append(helper.make_node("Identity", [value], [name]))
         self.outputs.append(
