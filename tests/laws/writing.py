@@ -686,7 +686,7 @@ _WORDS = (
     *("self", "np", "math", "world", "engine", "int", "float", "range", "abs", "position", "norm", "any_"),
     *("x", "y", "z", "w", "name", "type", "shape", "none", "null", "yes", "no", "on", "off", "e1", "inf"),
     *("nan", "_", "__", "__class__", "one_", "r0", "robot", "reward", "action", "step_", "zero", "random"),
-    *("a" * 64, "success", "failure", "max_steps", "supervisor", "message", "reset", "timing", "l", "o"),
+    *("a" * 40, "success", "failure", "max_steps", "supervisor", "message", "reset", "timing", "l", "o"),
 )
 """Names that mean something in Python, in YAML or elsewhere in the language."""
 
