@@ -4,8 +4,8 @@ SI units, world frame (x forward, y left, z up), quaternions (x, y, z, w). Bodie
 identified by name. Readers and writers are bound once, when the environment is built, so that a step needs no
 look-up. A reader changes nothing: two calls between two steps return equal values.
 
-docs/engine-port.md describes every method of `Engine`. `EngineProxy` passes each of them on: a method that is added to
-the port is added there.
+docs/engine-port.md describes every method of `Engine`. `EngineProxy` passes each of them on: a method that is
+added to the port is added there.
 
 A further engine is a class that fits `Engine`: in a package with an entry point of the group
 `deepbots.engines`, or in `engines/`, with its line in `engine_kinds.py`.
