@@ -456,8 +456,8 @@ class _SymmetryReader:
                 "DB203",
                 (*_PATH, "flip"),
                 f"the mirror image of `{name}` is not possible{more}: {reason}",
-                "list under `flip` both numbers of a pair, or none; truth values have no sign, and a single action"
-                " that changes its sign needs a range such as -1 .. 1",
+                "list under `flip` both numbers of a pair, or none; truth values have no sign, and a single"
+                " action that changes its sign needs a range such as -1 .. 1",
             )
         if missing or wrong:
             return None

@@ -100,10 +100,6 @@ class Span(NamedTuple):
     def text(self) -> str:
         return self.source.text[self.start : self.end]
 
-    def overlaps(self, other: Span) -> bool:
-        """Return whether both have a common character, or one is an empty span within the other."""
-        return self.source is other.source and self.start < other.end and other.start < self.end
-
     @property
     def location(self) -> str:
         """`file:line:column`, which editors and terminals link."""

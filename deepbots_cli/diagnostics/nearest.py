@@ -61,13 +61,10 @@ def nearest_first(word: str, candidates: Iterable[str], limit: int) -> list[str]
         return words
     from difflib import SequenceMatcher  # as above
 
-    matcher = SequenceMatcher(b=word[:_MAX_LENGTH].lower())
-
-    def likeness(name: str) -> float:
-        matcher.set_seq1(name[:_MAX_LENGTH].lower())
-        return matcher.ratio()
-
-    by_likeness = {name: likeness(name) for name in words[:_MAX_COMPARED]}
+    by_likeness = {
+        name: SequenceMatcher(None, name[:_MAX_LENGTH].lower(), word[:_MAX_LENGTH].lower()).ratio()
+        for name in words[:_MAX_COMPARED]
+    }
     like = [name for name in by_likeness if by_likeness[name] >= _LIKE]
     like.sort(key=by_likeness.__getitem__, reverse=True)
     return [*like, *(name for name in words if by_likeness.get(name, 0.0) < _LIKE)]
@@ -153,22 +150,17 @@ def as_conditional(text: str) -> str | None:
 
 
 def without_bars(text: str) -> str | None:
-    """Return the text with `abs(x)` for each `|x|`, also within another; None if it has none, or an odd bar."""
-    if len(text) > _MAX_FOREIGN or "|" not in text:
-        return None
-    plain, open_bars, after_value = "", 0, False
-    for token in re.findall(r"[\w.]+|\s+|.", text):
-        if token == "|" and after_value:
-            plain, open_bars = plain.rstrip() + ")", open_bars - 1
-        elif token == "|":
-            plain, open_bars = plain + "abs(", open_bars + 1
-        else:
-            plain += token
-            is_end = token not in ("and", "or", "not", "if", "else") and re.match(r"[\w.)\]]", token)
-            after_value = after_value if token.isspace() else is_end is not None
+    """Return the text with `abs(x)` for each `|x|`, also within another; None without bars and for an odd
+    one."""
+    plain, *pieces = text.split("|") if len(text) <= _MAX_FOREIGN else [text]
+    open_bars = 0
+    for piece in pieces:
+        ends_value = re.search(r"[\w.)\]](?<!\band)(?<!\bor)(?<!\bnot)(?<!\bif)(?<!\belse)\s*$", plain)
+        plain = f"{plain.rstrip()}){piece}" if ends_value else f"{plain}abs({piece.lstrip()}"
+        open_bars += -1 if ends_value else 1
         if open_bars < 0:
             return None
-    return None if open_bars else plain.replace("abs( ", "abs(")
+    return plain if pieces and not open_bars else None
 
 
 # The help for functions of other languages.
@@ -193,5 +185,4 @@ FOREIGN_FUNCTION_HELP = {
 def foreign_call(names: tuple[str, ...]) -> str:
     """Return the call that `math.cos(` or `cart.velocity(` begins, by the dotted names before its
     parenthesis."""
-    *owner, function = names
-    return f"{function}(...)" if owner[0] in MODULES else f"{function}({'.'.join(owner)})"
+    return f"{names[-1]}({'...' if names[0] in MODULES else '.'.join(names[:-1])})"

@@ -173,9 +173,9 @@ class FasterEngine:
         """A sentence with the line to write, and its effect."""
         return (
             f"{self.engine} steps this world {self.ratio:.1f} times as fast as {self.used}"
-            f" ({self.steps_per_second:,.0f} against "
-            f"{self.used_steps_per_second:,.0f} steps/s). To use it, write `engine: {self.engine}` in the section"
-            f" `world`, or give --engine {self.engine}. Motion and results may differ; `deepbots transfer RUN` shows how much."
+            f" ({self.steps_per_second:,.0f} against {self.used_steps_per_second:,.0f} steps/s). To use it,"
+            f" write `engine: {self.engine}` in the section `world`, or give --engine {self.engine}. Motion"
+            " and results may differ; `deepbots transfer RUN` shows how much."
             f"{f' {busy_note(self.spread)}' if self.spread > LARGE_SPREAD else ''}"
         )
 

@@ -167,7 +167,7 @@ class Fixer:
             linted.findings if linted.compiled else linted.errors, key=lambda finding: finding.sort_key
         ):
             edits = finding.fix.edits if finding.fix and self._is_applicable(finding, linted) else ()
-            if edits and not any(edit.span.overlaps(span) for edit in edits for span in taken):
+            if edits and not any(_overlap(edit.span, span) for edit in edits for span in taken):
                 applicable.append(finding)
                 taken += [edit.span for edit in edits]
         return applicable
@@ -219,6 +219,11 @@ class Fixer:
                 raise UsageError(f"{source.name} was changed by another program in the meantime")
             self._originals[path] = data
         return _BOM if self._originals[path].startswith(_BOM) else b""
+
+
+def _overlap(one: Span, other: Span) -> bool:
+    """Return whether spans have a common character, or one is empty and within the other."""
+    return one.source is other.source and one.start < other.end and other.start < one.end
 
 
 def _cost(linted: LintResult) -> int:
