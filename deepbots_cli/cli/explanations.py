@@ -12,9 +12,10 @@ from deepbots_cli.cli.starters.draft import template_summaries
 from deepbots_cli.diagnostics import Findings, Source
 from deepbots_cli.diagnostics.nearest import is_typo, nearest_word
 from deepbots_cli.diagnostics.registry import RULES
+from deepbots_cli.document.load import shipped_summaries
 from deepbots_cli.document.nodes import to_data
 from deepbots_cli.document.parse import parse
-from deepbots_cli.document.shipped import data_dir, shipped_summaries
+from deepbots_cli.document.shipped import data_dir
 from deepbots_cli.expressions.dimensions import UNITS, suggest_unit
 from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.scenario import documentation

@@ -19,10 +19,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from deepbots_cli.diagnostics import Findings
-from deepbots_cli.document import MappingNode, Node, files, shipped, to_data
+from deepbots_cli.document import MappingNode, shipped, to_data
+from deepbots_cli.document.load import read_alone
 from deepbots_cli.document.nodes import entries_at
-from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import read_at_most
 from deepbots_cli.program.task import ExpectedKey
@@ -189,17 +188,6 @@ class Lesson:
         return read_at_most(path, _MAX_BYTES).decode("utf-8", "replace") if path.is_file() else ""
 
 
-def parsed(path: Path, display: str | None = None) -> tuple[Node | None, Findings]:
-    """Return what can be read of a YAML file, without its `include`s, and its mistakes.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
-    findings = Findings()
-    source, is_readable = files.decode(files.read(path), display or str(path), findings)
-    return (parse(source, findings) if is_readable else None), findings
-
-
 def read_mapping(path: Path, display: str | None = None) -> MappingNode:
     """Return a YAML file as a mapping without its `include`s.
 
@@ -207,7 +195,7 @@ def read_mapping(path: Path, display: str | None = None) -> MappingNode:
         OSError: The file cannot be read.
         UsageError: It has a mistake, whose line the message names, or is not a mapping.
     """
-    node, findings = parsed(path, display)
+    node, findings = read_alone(path, display)
     for error in findings.errors:
         raise UsageError(f"{error.span.location}: {error.headline}")
     if not isinstance(node, MappingNode):

@@ -35,12 +35,12 @@ from deepbots_cli.course.lessons import (
     Lesson,
     Step,
     data_of,
-    parsed,
     rate_or_return,
     read_mapping,
     settings_of,
 )
 from deepbots_cli.document import Node, ScalarNode
+from deepbots_cli.document.load import read_alone
 from deepbots_cli.document.nodes import node_at
 from deepbots_cli.engine_kinds import chosen
 from deepbots_cli.errors import DeepbotsError, ScenarioError, StorageError
@@ -292,7 +292,7 @@ class Marker:
     def _answered(self, check: Check) -> CheckMark:
         path = self.folder / ANSWERS_NAME
         is_file = path.is_file() and not path.is_symlink()
-        node = node_at(parsed(path, ANSWERS_NAME)[0], check.answer or "") if is_file else None
+        node = node_at(read_alone(path, ANSWERS_NAME)[0], check.answer or "") if is_file else None
         if not isinstance(node, ScalarNode) or node.value is None or not node.text.strip():
             reason = (
                 f"there is no answer in {ANSWERS_NAME}: write one value after `{check.answer}:` and a space"

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from collections.abc import Mapping as Table
 from collections.abc import Sequence as Texts
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from deepbots_cli.diagnostics import MAX_FINDINGS, Findings, Fix, Label, Source, Span, TooManyFindings
@@ -174,6 +175,34 @@ def allowed_folders(paths: Iterable[str | Path]) -> tuple[Path, ...]:
         if not folder.is_dir():
             raise UsageError(f"{folder} is not a folder; --allow-path needs an existing folder")
     return tuple(folder.resolve() for folder in folders)
+
+
+def read_alone(path: Path, display: str | None = None) -> tuple[Node | None, Findings]:
+    """Return what can be read of a YAML file, without its `include`s, and its mistakes.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    findings = Findings()
+    source, readable = files.decode(files.read(path), display or str(path), findings)
+    return (parse(source, findings) if readable else None), findings
+
+
+def summary_of(path: Path) -> str:
+    """Return the summary of a scenario file on one line; empty without one."""
+    return nodes.text_at(read_alone(path)[0], "summary")
+
+
+@cache
+def shipped_summaries(*, variants: bool) -> dict[str, str]:
+    """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
+    paths = [path for path in map(shipped.scenario_path, shipped.scenario_names()) if path is not None]
+    trees = {path.stem: read_alone(path)[0] for path in paths}
+    return {
+        name: nodes.text_at(root, "summary")
+        for name, root in trees.items()
+        if ("extends" in entries_at(root)) is variants
+    }
 
 
 class _Reader:

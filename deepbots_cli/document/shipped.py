@@ -14,9 +14,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from deepbots_cli.diagnostics import Findings, Source
-from deepbots_cli.document.nodes import text_at
-from deepbots_cli.document.parse import parse
 from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
@@ -95,22 +92,6 @@ def data_roots() -> tuple[Path, ...]:
         for folder in (data_dir(), *_added_dirs())
         for name in ("scenarios", "robots")
     )
-
-
-def summary_of(path: Path) -> str:
-    """Return the summary of a scenario file on one line; empty without one."""
-    return text_at(parse(Source(str(path), path.read_text("utf-8")), Findings()), "summary")
-
-
-@cache
-def shipped_summaries(*, variants: bool) -> dict[str, str]:
-    """Return the shipped scenarios, each with its summary: the tasks, or the `variants` that extend one."""
-    paths = [path for path in map(scenario_path, scenario_names()) if path is not None]
-    return {
-        path.stem: summary_of(path)
-        for path in paths
-        if (re.search(r"(?m)^extends:", path.read_text("utf-8")) is not None) is variants
-    }
 
 
 def _names(folders: Iterable[Path], kind: str) -> list[str]:

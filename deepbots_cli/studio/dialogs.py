@@ -18,7 +18,7 @@ from nicegui import events, ui
 
 from deepbots_cli.cli.starters.draft import Template, template_summaries
 from deepbots_cli.cli.starters.first_scenario import DroppedRobot, suitable_tasks
-from deepbots_cli.document.shipped import shipped_summaries
+from deepbots_cli.document.load import shipped_summaries
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, read_at_most
 from deepbots_cli.robots.build import Build

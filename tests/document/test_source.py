@@ -47,6 +47,7 @@ from deepbots_cli.document.layout import (
     removal_fix,
     to_yaml,
 )
+from deepbots_cli.document.load import shipped_summaries
 from deepbots_cli.document.nodes import NodePath, node_at
 from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import UsageError
@@ -825,7 +826,7 @@ def test_a_scenario_whose_first_line_extends_another_is_a_variant_with_its_summa
     (tmp_path / "mine.yaml").write_text(f"extends: cartpole\nsummary: {summary}\n")
     monkeypatch.setattr(shipped, "scenario_names", lambda: ["mine"])
     monkeypatch.setattr(shipped, "scenario_path", lambda name: tmp_path / f"{name}.yaml")
-    assert shipped.shipped_summaries.__wrapped__(variants=True) == {"mine": "Mine."}
+    assert shipped_summaries.__wrapped__(variants=True) == {"mine": "Mine."}
 
 
 UNTIDY = """

@@ -444,6 +444,28 @@ def test_a_broken_engine_is_an_error_of_one_line(tmp_path):
     assert done.stdout == expected
 
 
+@pytest.fixture(scope="module")
+def added(tmp_path_factory):
+    """A folder with a package of scenarios and robots alone."""
+    folder = tmp_path_factory.mktemp("added")
+    for place, files in {"scenarios": ("first", "cart.v2"), "robots/urdf": ("own_cart",)}.items():
+        (folder / "carts" / place).mkdir(parents=True)
+        shipped = (
+            next((ROOT / place).glob("cartpole.*")).read_text().replace("cartpole.urdf", "own_cart.urdf")
+        )
+        for name in files:
+            suffix = ".yaml" if place == "scenarios" else ".urdf"
+            (folder / "carts" / place / f"{name}{suffix}").write_text(shipped)
+    (folder / "carts" / "scenarios" / "latin.yaml").write_bytes(b"extends: cartpole\nsummary: Caf\xe9.\n")
+    installed(folder, {"deepbots.scenarios": {"carts": "carts"}}, "carts")
+    return folder
+
+
+def test_a_scenario_of_a_plugin_that_is_not_utf_8_does_not_hide_the_others(added):
+    done = deepbots(added, "explain", "cartpole")
+    assert (done.returncode, "cartpole: a shipped scenario" in done.stdout) == (0, True)
+
+
 HOVER = """
 from pathlib import Path
 from lsprotocol.types import Position

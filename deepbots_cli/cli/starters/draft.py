@@ -13,7 +13,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from deepbots_cli.cli.written_files import Files
 from deepbots_cli.document.layout import plain_or_quoted
-from deepbots_cli.document.shipped import summary_of
+from deepbots_cli.document.load import summary_of
 from deepbots_cli.engine_kinds import ENGINES, MAX_PYBULLET_JOINTS
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.build import GRAVITY, Build, neutral
