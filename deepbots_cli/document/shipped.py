@@ -18,6 +18,8 @@ from deepbots_cli.plugins import entry_points_of, warn_unavailable
 
 _SCENARIOS = "scenarios/*.yaml"
 _ROBOTS = "robots/urdf/*.urdf"
+# A name with `/` would lead out of the folder; `is_file` raises OSError for more than 255 bytes.
+_NAME = re.compile(r"(?!\.)[A-Za-z0-9_.-]{1,100}")
 
 
 @cache
@@ -61,8 +63,7 @@ class Library(NamedTuple):
 
     def path(self, name: str) -> Path | None:
         """Return the file called `name` (`cartpole`), if there is one."""
-        # A name with `/` would lead out of the folder; `is_file` raises OSError for more than 255 bytes.
-        if not re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name):
+        if not _NAME.fullmatch(name):
             return None
         paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
         return next((path for path in paths if path.is_file()), None)
@@ -95,4 +96,5 @@ def data_roots() -> tuple[Path, ...]:
 
 
 def _names(folders: Iterable[Path], kind: str) -> list[str]:
-    return sorted(path.stem for folder in folders for path in folder.glob(kind))
+    stems = (path.stem for folder in folders for path in folder.glob(kind))
+    return sorted(filter(_NAME.fullmatch, stems))

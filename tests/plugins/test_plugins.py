@@ -466,6 +466,12 @@ def test_a_scenario_of_a_plugin_that_is_not_utf_8_does_not_hide_the_others(added
     assert (done.returncode, "cartpole: a shipped scenario" in done.stdout) == (0, True)
 
 
+def test_each_name_in_the_list_of_scenarios_is_the_name_of_one(added):
+    listed = deepbots(added, "scenarios", "--json").stdout
+    assert "cart.v2" in [row["name"] for row in json.loads(listed)["scenarios"]]
+    assert deepbots(added, "lint", "cart.v2").stdout == "cart.v2: no findings\n"
+
+
 HOVER = """
 from pathlib import Path
 from lsprotocol.types import Position
