@@ -52,6 +52,11 @@ def _added_dirs() -> tuple[Path, ...]:
     return tuple(folders)
 
 
+def data_dirs() -> tuple[Path, ...]:
+    """Return the folders with shipped `scenarios` and `robots`: that of deepbots, then those of plug-ins."""
+    return (data_dir(), *_added_dirs())
+
+
 class Library(NamedTuple):
     """The shipped files of one kind, which a scenario may name without a path."""
 
@@ -59,13 +64,13 @@ class Library(NamedTuple):
     pattern: str
 
     def names(self) -> list[str]:
-        return _names((data_dir(), *_added_dirs()), self.pattern)
+        return _names(data_dirs(), self.pattern)
 
     def path(self, name: str) -> Path | None:
         """Return the file called `name` (`cartpole`), if there is one."""
         if not _NAME.fullmatch(name):
             return None
-        paths = (folder / self.pattern.replace("*", name) for folder in (data_dir(), *_added_dirs()))
+        paths = (folder / self.pattern.replace("*", name) for folder in data_dirs())
         return next((path for path in paths if path.is_file()), None)
 
 
@@ -80,7 +85,8 @@ def is_shipped_path(reference: str) -> bool:
     `../robots/epuck.yaml`."""
     steps = [step for step in re.split(r"[/\\]", reference) if step not in ("", ".", "..")]
     try:
-        return bool(steps) and steps[0] in ("scenarios", "robots") and data_dir().joinpath(*steps).is_file()
+        is_below = steps[:1] in (["scenarios"], ["robots"])
+        return is_below and any(folder.joinpath(*steps).is_file() for folder in data_dirs())
     # The path is too long, or has a null character.
     except (OSError, ValueError):
         return False
@@ -88,11 +94,7 @@ def is_shipped_path(reference: str) -> bool:
 
 def data_roots() -> tuple[Path, ...]:
     """Return the folders that any scenario may read from, links followed."""
-    return tuple(
-        (folder / name).resolve()
-        for folder in (data_dir(), *_added_dirs())
-        for name in ("scenarios", "robots")
-    )
+    return tuple((folder / name).resolve() for folder in data_dirs() for name in ("scenarios", "robots"))
 
 
 def _names(folders: Iterable[Path], kind: str) -> list[str]:

@@ -472,6 +472,20 @@ def test_each_name_in_the_list_of_scenarios_is_the_name_of_one(added):
     assert deepbots(added, "lint", "cart.v2").stdout == "cart.v2: no findings\n"
 
 
+def test_a_copy_of_a_scenario_of_a_plugin_comes_with_its_robot(added, tmp_path):
+    assert deepbots(added, "new", "mine", tmp_path, "--from", "first").returncode == 0
+    assert (tmp_path / "robots" / "urdf" / "own_cart.urdf").is_file()
+    assert main(["lint", str(tmp_path / "mine.yaml")]) == 0  # here, the package is not installed
+
+
+def test_a_part_of_a_scenario_of_a_plugin_is_copied_by_its_command(added, tmp_path):
+    (tmp_path / "part.yaml").write_text("deepbots: 1\ninclude: ../scenarios/first.yaml\n")
+    assert (
+        "copies a shipped scenario with all its files"
+        in deepbots(added, "lint", tmp_path / "part.yaml").stdout
+    )
+
+
 HOVER = """
 from pathlib import Path
 from lsprotocol.types import Position

@@ -447,7 +447,8 @@ def _renamed(content: bytes, name: str) -> bytes:
 
 
 def _target(file: Path) -> PurePosixPath:
-    data = shipped.data_dir().resolve()
+    # The innermost one: a package may lie in the checkout of deepbots.
+    data = max(filter(file.is_relative_to, shipped.data_dirs()), key=lambda folder: len(folder.parts))
     scenarios = data / "scenarios"
     return PurePosixPath(file.relative_to(scenarios if file.is_relative_to(scenarios) else data))
 
