@@ -29,7 +29,7 @@ from pydantic import TypeAdapter
 
 from deepbots_cli.course.copies import without_copies
 from deepbots_cli.course.hand_ins import collect
-from deepbots_cli.course.lessons import SOLUTION, START, Lesson, course_folder, lesson_named
+from deepbots_cli.course.lessons import SOLUTION, START, Lesson, course_folder, lesson_named, shipped_lesson
 from deepbots_cli.course.marking import CheckMark, StepMark, guarded, unfinished
 from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import atomic_write, check_folder, csv_text, read_at_most
@@ -408,7 +408,8 @@ class Started:
         Raises:
             UsageError: It is not here: a teacher keeps the checks of an own lesson.
         """
-        return lesson_named(self.reference)
+        is_folder = Path(self.reference).is_absolute()
+        return lesson_named(self.reference) if is_folder else shipped_lesson(self.reference)
 
     def write(self) -> None:
         data = {"lesson": self.reference, "points": self.points, "hints": dict(self.hints)}

@@ -23,7 +23,7 @@ from deepbots_cli.document import MappingNode, shipped, to_data
 from deepbots_cli.document.load import read_alone
 from deepbots_cli.document.nodes import entries_at
 from deepbots_cli.errors import UsageError
-from deepbots_cli.files import read_at_most
+from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.program.task import ExpectedKey
 from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.quantities import read_fraction
@@ -259,8 +259,8 @@ def shipped_lessons() -> list[Lesson]:
     return [read_lesson(folder) for folder in folders]
 
 
-def lesson_named(name: str) -> Lesson:
-    """Return a lesson by its number, its name, or its folder.
+def shipped_lesson(name: str) -> Lesson:
+    """Return a lesson that comes with deepbots, by its number or its name.
 
     Raises:
         UsageError: There is no such lesson.
@@ -269,10 +269,20 @@ def lesson_named(name: str) -> Lesson:
     for lesson in lessons:
         if name in (str(lesson.number), lesson.name):
             return lesson
-    if Path(name).is_dir():
-        return read_lesson(Path(name))
     numbers = f"1 to {len(lessons)}" if lessons else "none"
-    raise UsageError(f"there is no lesson '{name}'; the lessons are {numbers}, which `deepbots course` lists")
+    raise UsageError(
+        f"there is no lesson '{name}'; the lessons are {numbers}, which `deepbots course` lists, and folders"
+        f" with a {LESSON_NAME}, which `deepbots new --lesson NAME` writes"
+    )
+
+
+def lesson_named(name: str) -> Lesson:
+    """Return the lesson in a folder, or else the one of this number or name that comes with deepbots.
+
+    Raises:
+        UsageError: There is no such lesson, or it has a mistake.
+    """
+    return read_lesson(Path(name)) if is_file(Path(name, LESSON_NAME)) else shipped_lesson(name)
 
 
 def settings_of(data: Any, path: tuple[str, ...] = ()) -> dict[str, Any]:

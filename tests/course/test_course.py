@@ -837,6 +837,18 @@ def test_a_lesson_is_started_checked_and_hinted_at(
     assert deepbots("course", "hint", own, "--step", "mend").out.split()[-1] == "first"
 
 
+def test_a_folder_with_a_lesson_comes_before_the_lesson_of_deepbots_with_its_name(
+    deepbots: Deepbots, tmp_path: Path, lesson: Lesson
+) -> None:
+    deepbots("course", "start", "motors", "shipped")
+    shutil.copytree(lesson.folder, tmp_path / "motors")
+    for name in ("motors", "./motors"):
+        assert "lesson Small," in deepbots("course", "start", name, f"own {len(name)}").out
+        assert "lesson Small, 7 points" in deepbots("grade", name, lesson.folder / "solution").out
+    assert "lesson 2 Actions and motors" in deepbots("course", "check", "shipped", code=1).out
+    assert "folders with a lesson.yaml" in deepbots("course", "verify", "shipped", code=2).err
+
+
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:

@@ -57,7 +57,7 @@ def command(
         str | None,
         typer.Argument(
             metavar="LESSON|DIR",
-            help="The lesson to start: its number, name or folder; else the folder of a started lesson, by"
+            help="The lesson to start: its folder, number or name; else the folder of a started lesson, by"
             " default this one; for verify, the folder of a lesson.",
         ),
     ] = None,
@@ -221,14 +221,14 @@ def _next(folder: Path, into: Path | None, solution: str | None, *, as_json: boo
         terminal.show({}, "this was the last lesson; `deepbots course` lists all", as_json=as_json)
         return
     name = f"lesson-{following.number}-{following.name}"
-    _start(str(following.number), into or folder.resolve().parent / name, solution, as_json=as_json)
+    _start(str(following.folder), into or folder.resolve().parent / name, solution, as_json=as_json)
 
 
 def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
-    from deepbots_cli.course.lessons import HALF, lesson_named, read_lesson
+    from deepbots_cli.course.lessons import HALF, lesson_named
     from deepbots_cli.course.proof import CHEATS, Proven, prove
 
-    lesson = read_lesson(Path(name)) if Path(name).is_dir() else lesson_named(name)
+    lesson = lesson_named(name)
     total = (
         len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
     )  # start, solution, and one to cheat with
@@ -269,7 +269,7 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
 
 def command_grade(
     lesson_name: Annotated[
-        str, typer.Argument(metavar="LESSON", help="The number, name or folder of a lesson.")
+        str, typer.Argument(metavar="LESSON", help="The folder, number or name of a lesson.")
     ],
     hand_ins: Annotated[
         list[Path],

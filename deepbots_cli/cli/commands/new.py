@@ -183,9 +183,9 @@ def command(
 
 def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
     """Write a lesson that `deepbots course verify` proves as it is."""
-    from deepbots_cli.course.lessons import lesson_named
+    from deepbots_cli.course.lessons import shipped_lesson
 
-    model = lesson_named("reward").folder
+    model = shipped_lesson("reward").folder
     contents = {
         PurePosixPath(path.relative_to(model)): path.read_bytes()
         for path in sorted(model.rglob("*"))
