@@ -29,7 +29,7 @@ from pydantic import TypeAdapter
 
 from deepbots_cli.course.copies import without_copies
 from deepbots_cli.course.hand_ins import collect
-from deepbots_cli.course.lessons import SOLUTION, START, Lesson, course_folder, lesson_named, shipped_lesson
+from deepbots_cli.course.lessons import SOLUTION, START, Lesson, lesson_named, shipped_lesson
 from deepbots_cli.course.marking import CheckMark, StepMark, guarded, unfinished
 from deepbots_cli.errors import StorageError, UsageError
 from deepbots_cli.files import atomic_write, check_folder, csv_text, read_at_most
@@ -497,5 +497,5 @@ def start(lesson: Lesson, folder: Path, solution: str | None = None) -> None:
         (folder / "README.md").write_text(text, encoding="utf-8")
     for picture in (*lesson.folder.glob("*.png"), *lesson.folder.glob("*.svg")):
         shutil.copy(picture, folder)
-    reference = lesson.name if lesson.folder.parent == course_folder() else str(lesson.folder.resolve())
+    reference = lesson.name if lesson.is_shipped else str(lesson.folder.resolve())
     Started(folder, reference).write()

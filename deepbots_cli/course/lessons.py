@@ -171,6 +171,11 @@ class Lesson:
         return sum(step.points for step in self.steps.values())
 
     @property
+    def is_shipped(self) -> bool:
+        """Whether the lesson comes with deepbots."""
+        return self.folder.resolve().parent == course_folder()
+
+    @property
     def label(self) -> str:
         return f"{self.number} {self.content.title}" if self.number else self.content.title
 

@@ -849,6 +849,16 @@ def test_a_folder_with_a_lesson_comes_before_the_lesson_of_deepbots_with_its_nam
     assert "folders with a lesson.yaml" in deepbots("course", "verify", "shipped", code=2).err
 
 
+def test_no_lesson_of_deepbots_follows_one_of_a_teacher(
+    deepbots: Deepbots, tmp_path: Path, lesson: Lesson
+) -> None:
+    deepbots("course", "start", lesson.folder, "own")
+    assert "this was the last lesson" in deepbots("course", "next", "own").out
+    deepbots("course", "start", lesson_named("sensors").folder, "first")
+    deepbots("course", "next", "first")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["first", "lesson-2-motors", "own"]
+
+
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:

@@ -217,7 +217,7 @@ def _next(folder: Path, into: Path | None, solution: str | None, *, as_json: boo
 
     lesson = _opened(folder).lesson()
     following = next((other for other in shipped_lessons() if other.number == lesson.number + 1), None)
-    if following is None or not lesson.number:
+    if following is None or not lesson.is_shipped:
         terminal.show({}, "this was the last lesson; `deepbots course` lists all", as_json=as_json)
         return
     name = f"lesson-{following.number}-{following.name}"
