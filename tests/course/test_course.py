@@ -859,6 +859,25 @@ def test_no_lesson_of_deepbots_follows_one_of_a_teacher(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["first", "lesson-2-motors", "own"]
 
 
+def test_the_list_of_lessons_goes_on_with_an_open_one_then_a_new_one_and_ends(
+    deepbots: Deepbots, tmp_path: Path
+) -> None:
+    def points(lesson: Lesson, missing: int = 0) -> None:
+        folder = tmp_path / lesson.folder.name
+        folder.mkdir(exist_ok=True)
+        grading.Started(folder, lesson.name, lesson.points - missing).write()
+
+    first, *others = shipped_lessons()
+    points(first)
+    assert "deepbots course start 2" in deepbots("course").err
+    for lesson in others:
+        points(lesson, missing=1)
+    assert f"deepbots course check {others[0].folder.name}" in deepbots("course").err
+    for lesson in others:
+        points(lesson)
+    assert deepbots("course").err == ""
+
+
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:

@@ -119,12 +119,12 @@ def _list(folder: Path, *, as_json: bool) -> None:
                 "folder": "" if own is None else str(own.folder),
             }
         )
-    current = next((row for row in rows if row["points"] and not _is_full(row)), None)
-    following = next((row["lesson"] for row in rows if not row["points"]), 1)
-    command = f"check {shell_word(str(current['folder']))}" if current else f"start {following}"
-    terminal.show(
-        rows, table(rows, is_prose=True), as_json=as_json, next_commands=[f"deepbots course {command}"]
-    )
+    commands = [
+        f"check {shell_word(str(row['folder']))}" for row in rows if row["points"] and not _is_full(row)
+    ]
+    commands += [f"start {row['lesson']}" for row in rows if not row["points"]]
+    following = [f"deepbots course {command}" for command in commands[:1]]
+    terminal.show(rows, table(rows, is_prose=True), as_json=as_json, next_commands=following)
 
 
 def _is_full(row: Row) -> bool:
