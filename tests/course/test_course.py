@@ -878,6 +878,11 @@ def test_the_list_of_lessons_goes_on_with_an_open_one_then_a_new_one_and_ends(
     assert deepbots("course").err == ""
 
 
+def test_grade_has_no_permissions_since_hand_ins_and_lessons_get_none(deepbots: Deepbots) -> None:
+    for option in ("--allow-path", "--allow-code"):
+        assert f"No such option: {option}" in deepbots("grade", "1", "class", option, code=2).err
+
+
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:

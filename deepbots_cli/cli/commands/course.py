@@ -26,7 +26,6 @@ from deepbots_cli.cli.command import (
 )
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import Row, table
-from deepbots_cli.document import Permissions
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import atomic_write, check_folder, check_output, read_at_most
 from deepbots_cli.processes import available_cores
@@ -294,7 +293,6 @@ def command_grade(
     force: Force = False,
     workers: Workers = None,
     as_json: Json = False,
-    permissions: Permissions = Permissions(),
 ) -> None:
     """Mark what students handed in."""
     from deepbots_cli.course.grading import (
