@@ -135,13 +135,21 @@ class Interrupted(KeyboardInterrupt):
         self.marks = marks
 
 
-def hand_ins_of(lesson: Lesson, paths: Sequence[Path]) -> list[tuple[str, Path]]:
+def hand_ins_of(
+    lesson: Lesson, paths: Sequence[Path], outputs: Iterable[Path] = ()
+) -> list[tuple[str, Path]]:
     """Return hand-ins with the names of their students: those of files and folders, numbered where two are
-    the same. A folder with several entries, and no file of the lesson, stands for all that is in it."""
+    the same. A folder with several entries, and no file of the lesson, stands for all that is in it. The
+    `outputs` of an earlier call are none."""
+    left_out = set(map(os.path.abspath, outputs))
+
+    def is_hand_in(path: Path) -> bool:
+        return os.path.abspath(path) not in left_out
+
     single: list[Path] = []
-    for path in paths:
+    for path in filter(is_hand_in, paths):
         inside = [] if path.is_symlink() or not path.is_dir() else sorted(path.iterdir())
-        visible = [entry for entry in inside if not entry.name.startswith(".")]
+        visible = [entry for entry in filter(is_hand_in, inside) if not entry.name.startswith(".")]
         is_class = len(visible) > 1 and not any((path / name).is_file() for name in lesson.step_files)
         single += visible if is_class else [path]
     named: dict[str, Path] = {}

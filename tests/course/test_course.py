@@ -883,6 +883,18 @@ def test_grade_has_no_permissions_since_hand_ins_and_lessons_get_none(deepbots: 
         assert f"No such option: {option}" in deepbots("grade", "1", "class", option, code=2).err
 
 
+def test_the_files_of_an_earlier_call_are_no_hand_ins(
+    deepbots: Deepbots, tmp_path: Path, lesson: Lesson
+) -> None:
+    for name in ("ada", "bob"):
+        put(tmp_path / "class" / name, answers="length: 35 cm\n")
+    line = ("grade", lesson.folder, "class", "--csv", "class/marks.csv", "--html", "class/pages")
+    deepbots(*line)
+    for names in (["class"], sorted((tmp_path / "class").iterdir())):
+        again = deepbots("grade", lesson.folder, *names, *line[3:], "--force", "--json").out
+        assert [one["student"] for one in json.loads(again)] == ["ada", "bob"]
+
+
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:

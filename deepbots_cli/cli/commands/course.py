@@ -311,7 +311,7 @@ def command_grade(
         check_folder(html)
         if html.exists() and any(html.iterdir()) and not force:
             raise UsageError(f"{html} is not empty; name another folder, or add --force")
-    students = hand_ins_of(lesson, hand_ins)
+    students = hand_ins_of(lesson, hand_ins, filter(None, (csv, html)))
     finished: list[Marks] = []
 
     def save(marks: list[Marks]) -> None:
