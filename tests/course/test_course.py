@@ -898,8 +898,10 @@ def test_the_files_of_an_earlier_call_are_no_hand_ins(
 def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     deepbots: Deepbots, tmp_path: Path
 ) -> None:
-    deepbots("course", "start", "reward", tmp_path / "own")
+    started = deepbots("course", "start", "reward", "own")
     text = (tmp_path / "own" / "README.md").read_text(encoding="utf-8")
+    assert "in own; its text is README.md\n" in started.out
+    assert started.err.split("\n  ")[1:] == ["cd own", "deepbots course check\n"]
     assert "](.." not in text
     assert "What is reinforcement learning?, explains" in text
 

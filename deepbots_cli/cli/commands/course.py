@@ -141,12 +141,13 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
         {"step": step_name, "points": step.points, "goal": step.goal}
         for step_name, step in lesson.steps.items()
     ]
+    text = "; its text is README.md" if lesson.text("text.md") else ""
     terminal.show(
         {"lesson": lesson.name, "folder": folder, "steps": rows},
-        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}\n",
+        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}{text}\n",
         table(rows, is_prose=True),
         as_json=as_json,
-        next_commands=[f"cd {shell_word(folder)}", "read README.md", "deepbots course check"],
+        next_commands=[f"cd {shell_word(folder)}", "deepbots course check"],
     )
 
 
