@@ -464,6 +464,8 @@ def added(tmp_path_factory):
 def test_a_scenario_of_a_plugin_that_is_not_utf_8_does_not_hide_the_others(added):
     done = deepbots(added, "explain", "cartpole")
     assert (done.returncode, "cartpole: a shipped scenario" in done.stdout) == (0, True)
+    copied = deepbots(added, "new", "mine", "--from", "latin")
+    assert (copied.returncode, "latin.yaml:2:13: the file is not UTF-8 text" in copied.stderr) == (2, True)
 
 
 def test_each_name_in_the_list_of_scenarios_is_the_name_of_one(added):

@@ -401,8 +401,8 @@ def from_shipped(shipped_name: str, name: str) -> Files:
     Files of `scenarios/` move to the top of the folder. The paths in scenarios are rewritten; comments stay.
 
     Raises:
-        UsageError: There is no shipped scenario of this name, or it reads another one that is called
-            `NAME.yaml`.
+        UsageError: There is no shipped scenario of this name, it is not UTF-8 text, or it reads another one
+            that is called `NAME.yaml`.
     """
     first = shipped.scenario_path(shipped_name)
     if first is None:
@@ -465,7 +465,10 @@ def _moved(file: Path) -> tuple[bytes, list[Path]]:
 
 
 def _rewritten(file: Path) -> tuple[bytes, list[Path]]:
-    text = file.read_text(encoding="utf-8")
+    findings = Findings()
+    text = files.decode(files.read(file), str(file), findings)[0].text
+    for error in findings.errors:
+        raise UsageError(f"{error.span.location}: {error.headline}")
     needed = []
     # From the last one on, so that the spans of those before stay valid.
     for scalar, path in reversed(list(_references(file, text))):
