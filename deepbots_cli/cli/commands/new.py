@@ -448,7 +448,8 @@ def _renamed(content: bytes, name: str) -> bytes:
 
 def _target(file: Path) -> PurePosixPath:
     # The innermost one: a package may lie in the checkout of deepbots.
-    data = max(filter(file.is_relative_to, shipped.data_dirs()), key=lambda folder: len(folder.parts))
+    folders = [folder.resolve() for folder in shipped.data_dirs()]
+    data = max(filter(file.is_relative_to, folders), key=lambda folder: len(folder.parts))
     scenarios = data / "scenarios"
     return PurePosixPath(file.relative_to(scenarios if file.is_relative_to(scenarios) else data))
 
