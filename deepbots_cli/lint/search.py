@@ -20,8 +20,8 @@ from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.lint.exploits import is_better_than_success
 from deepbots_cli.lint.rollouts import Player, StoppedError
 from deepbots_cli.lint.simulation import Activity, DrivenEpisode, DriverKind, End, Entry, Stop, work_per_step
-from deepbots_cli.program import RANDOM, Program
-from deepbots_cli.program.task import ActionPart, Choices, idle_action
+from deepbots_cli.program import RANDOM, ZERO, Program
+from deepbots_cli.program.task import Agent, Choices, idle_action
 from deepbots_cli.rollout import Start, Step
 from deepbots_cli.rollout.drivers import named_driver
 from deepbots_cli.runtime import Supervisor
@@ -65,7 +65,7 @@ class ExploitSearch(Player):
         self._played: dict[tuple[str, int], DrivenEpisode | None] = {}
         self._peaks: dict[tuple[str, int], int] = {}
         """The step before the last that earns most in each episode."""
-        self._slots = action_slots(program.agent.action)
+        self._slots = action_slots(program.agent)
 
     def run(self) -> None:
         """Play fixed drivers and scripts, and interrupt scripts if these earn no more than a success."""
@@ -212,7 +212,7 @@ def _end(last: Step) -> End:
 
 
 class Slot(NamedTuple):
-    """A number of the action: the names of the options of a choice, or none for a value from -1 to 1; `idle`
+    """A number of the action: the texts of the options of a choice, or none for a value from -1 to 1; `idle`
     is the value that does nothing."""
 
     options: tuple[str, ...]
@@ -228,14 +228,18 @@ class Slot(NamedTuple):
         return [self.idle, *(value for value in extremes if value != self.idle)]
 
 
-def action_slots(action: Sequence[ActionPart]) -> list[Slot]:
-    """Return the numbers of an action, in their order in the text of a driver."""
-    idle = idle_action(action)
+def action_slots(agent: Agent) -> list[Slot]:
+    """Return the numbers of an action, in their order in the text of a driver. An option with the name of
+    another driver is written by its index."""
+    drivers = {RANDOM, ZERO, *(script.name for script in agent.scripts)}
+    idle = idle_action(agent.action)
     choices, values = (iter(idle[0]), iter(idle[1])) if idle is not None else (repeat(0), repeat(0.0))
     slots = []
-    for part in action:
+    for part in agent.action:
         if isinstance(part, Choices):
-            slots.append(Slot(tuple(option.name for option in part.options), float(next(choices))))
+            names = [option.name for option in part.options]
+            texts = (str(at) if name in drivers else name for at, name in enumerate(names))
+            slots.append(Slot(tuple(texts), float(next(choices))))
         else:
             slots += [Slot((), float(next(values))) for _ in part.names]
     return slots
@@ -245,7 +249,7 @@ def fixed_drivers(program: Program) -> Iterator[tuple[str, DriverKind]]:
     """Yield scripts, doing nothing, constant, alternating and random actions."""
     for script in program.agent.scripts:
         yield script.name, "script"
-    slots = action_slots(program.agent.action)
+    slots = action_slots(program.agent)
     constants = _constants(slots)
     has_idle = idle_action(program.agent.action) is not None
     for number, values in enumerate(constants):

@@ -39,18 +39,9 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
     Raises:
         UsageError: The name is none of these.
     """
-    if name == RANDOM:
-        return random_driver(world)
-    if name == ZERO:
-        return constant_driver(zero_action(world.action_space))
-    program: Program = world.get_wrapper_attr("scenario")
-    scripts = [script.name for script in program.agent.scripts]
-    if name in scripts:
-        act = partial(world.get_wrapper_attr("script"), name)
-        return Driver(lambda _: act())
-    of_agents = _drivers_of_agents(program, name)
-    if of_agents:
-        return AgentsDriver(world.unwrapped, of_agents)  # type: ignore[arg-type]  # the supervisor
+    driver = _driver_of_name(world, name)
+    if driver is not None:
+        return driver
     if name == POLICY:
         raise UsageError(
             "only a run has a policy; train one with `deepbots train`, and name the run instead of the"
@@ -58,9 +49,11 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
         )
     if name == HAND:
         raise UsageError("you can drive in the browser only; use `deepbots play`")
+    program: Program = world.get_wrapper_attr("scenario")
     options = [option.name for part in program.agent.choices for option in part.options]
     if not name.isidentifier() or name in options:
         return repeated_actions(world, name)
+    scripts = [script.name for script in program.agent.scripts]
     if program.members:
         of_all = [member.program.agent.scripts for member in program.members.values()]
         scripts = list(dict.fromkeys(script.name for agent_scripts in of_all for script in agent_scripts))
@@ -79,6 +72,22 @@ def named_driver(world: gym.Env[Any, Any], name: str) -> Driver:
         f"there is no driver '{name}'{hint}; the drivers are {', '.join(names)}, and actions such as"
         f" {example}"
     )
+
+
+def _driver_of_name(world: gym.Env[Any, Any], name: str) -> Driver | None:
+    """Return the driver that a name means, also in place of an action: `random`, `zero`, or a script of the
+    scenario or of its agents; None for an action. An option of the same name is written by its index."""
+    if name == RANDOM:
+        return random_driver(world)
+    if name == ZERO:
+        return constant_driver(zero_action(world.action_space))
+    program: Program = world.get_wrapper_attr("scenario")
+    if name in {script.name for script in program.agent.scripts}:
+        script = partial(world.get_wrapper_attr("script"), name)
+        return Driver(lambda _: script())
+    of_agents = _drivers_of_agents(program, name)
+    supervisor: Any = world.unwrapped
+    return AgentsDriver(supervisor, of_agents) if of_agents else None
 
 
 def _drivers_of_agents(program: Program, script: str) -> dict[str, str]:
@@ -155,8 +164,8 @@ def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
     Commas separate actions, colons the parts of one action.
 
     A part is the name or the index of an option, or a number from -1 to 1 for a range. `forward*8` is eight
-    steps of the same action. In place of an action, the name of a script lets the script act. All copies of a
-    robot get the same action.
+    steps of the same action. In place of an action, `random`, `zero` or the name of a script lets this driver
+    act; its index means an option of the same name. All copies of a robot get the same action.
 
     Raises:
         UsageError: The scenario has no such action.
@@ -165,36 +174,32 @@ def repeated_actions(world: gym.Env[Any, Any], text: str) -> Driver:
 
 
 class _RepeatedActions(Driver):
-    """Repeats its parts without end; each episode begins with the first part. A part is a function for the
-    action of each step, and the number of steps."""
+    """Repeats its parts without end; each episode begins with the first part. A part is a driver, and the
+    number of steps."""
 
-    def __init__(self, parts: Sequence[tuple[Callable[[], Any], int]]) -> None:
+    def __init__(self, parts: Sequence[tuple[Driver, int]]) -> None:
         self._parts = parts
-        self._following = self._acts()
+        self._following = self._drivers()
 
     def begin(self, start: Start) -> None:
-        self._following = self._acts()
+        self._following = self._drivers()
 
     def act(self, observation: Any) -> Any:
-        return next(self._following)()
+        return next(self._following).act(observation)
 
-    def _acts(self) -> Iterator[Callable[[], Any]]:
-        return (act for act, times in cycle(self._parts) for _ in range(times))
+    def _drivers(self) -> Iterator[Driver]:
+        return (driver for driver, times in cycle(self._parts) for _ in range(times))
 
 
-def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Callable[[], Any], int]:
-    """Return a function for the action of each step, and the number of steps."""
+def _read_repeated(world: gym.Env[Any, Any], word: str) -> tuple[Driver, int]:
+    """Return a driver, and the number of its steps."""
     text, star, times = (piece.strip() for piece in word.partition("*"))
     if star and not (times.isdecimal() and len(times) <= _MAX_DIGITS and int(times)):
         raise UsageError(
             f"'{word}' is not valid; write the number of steps after the asterisk, such as {text}*8"
         )
-    agent = world.get_wrapper_attr("scenario").agent
-    options = {option.name for part in agent.choices for option in part.options}
-    if text in {script.name for script in agent.scripts} - options:
-        return partial(world.get_wrapper_attr("script"), text), int(times or 1)
-    action = _read_action(world, text)
-    return lambda: action, int(times or 1)
+    driver = _driver_of_name(world, text) or constant_driver(_read_action(world, text))
+    return driver, int(times or 1)
 
 
 def _read_action(world: gym.Env[Any, Any], text: str) -> Any:

@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import re
 from contextlib import closing
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +192,18 @@ def test_a_driver_lets_each_agent_act_by_its_script_of_this_name(several: Path) 
             observed, *_ = world.step(action)
         with pytest.raises(UsageError, match="the drivers are lean, random, zero"):
             named_driver(world, "nothing")
+
+
+def test_scripts_of_agents_act_in_turn_as_alone(several: Path) -> None:
+    with closing(api.make(several)) as world:
+        (alone, in_turn) = (
+            [
+                step.observation.tolist()
+                for step in islice(steps(world, named_driver(world, text), Start(3)), 9)
+            ]
+            for text in ("lean", "lean*3,lean")
+        )
+        assert alone == in_turn
 
 
 def test_a_setting_below_an_agent_may_add_the_section_of_its_training(tmp_path: Path) -> None:

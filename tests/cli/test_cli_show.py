@@ -613,6 +613,17 @@ def test_a_script_drives_every_episode_and_actions_are_repeated(deepbots, script
     assert driven["episodes"] != report_of(deepbots, scripted, "--driver", "catch")["episodes"]
 
 
+def test_a_name_means_the_same_driver_alone_and_among_actions(deepbots, scripted):
+    path = Path(scripted)
+    path.write_text(path.read_text().replace("onward: {drive: forward}", "forward: {drive: backward}"))
+    path.write_text(path.read_text().replace("onward", "forward"))
+    script, listed, option = (
+        report_of(deepbots, scripted, "--driver", driver)["episodes"]
+        for driver in ("forward", "forward*2,forward", "0")
+    )
+    assert script == listed != option
+
+
 def test_of_many_episodes_the_first_are_shown_and_all_are_counted(deepbots, scripted):
     words = ("try", scripted, "--driver", "onward", "--episodes", "21")
     ran = deepbots(*words)
