@@ -227,7 +227,7 @@ def _read_part(part: Choices | ActionRange, word: str) -> float:
         names = [option.name for option in part.options]
         if word in names:
             return names.index(word)
-        if word.isdecimal() and int(word) < len(names):
+        if word.isdecimal() and len(word) <= _MAX_DIGITS and int(word) < len(names):
             return int(word)
         raise UsageError(f"'{part.name}' has no option '{word}'; its options are: {', '.join(names)}")
     try:

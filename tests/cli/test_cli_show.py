@@ -323,6 +323,10 @@ def test_actions_go_by_name_or_number(deepbots):
     assert named != other
 
 
+def test_an_option_of_too_many_digits_does_not_exist(deepbots):
+    assert "has no option '99" in deepbots("try", "cartpole", "--driver", "9" * 5000, code=2).err
+
+
 def test_ranges_are_acted_on_by_numbers_from_minus_one_to_one(deepbots):
     continuous = ["--set", "action.drive=-1 .. 1", "--steps", "3"]
     deepbots("try", "cartpole", "--driver=0.5,-1", *continuous)
