@@ -260,9 +260,15 @@ def read_recording(path: str | Path, program: Program) -> Recording:
     """Read a recording whose observation, action and messages are those of a scenario.
 
     Raises:
-        UsageError: They differ, the file cannot be read or is too long, or several agents act in it.
+        UsageError: They differ, the file cannot be read or is too long, it is of a case, or several agents
+            act in it.
     """
     recording = Recording.read(Path(path))
+    if case := recording.metadata.get("case"):
+        raise UsageError(
+            f"{path} cannot teach {program.name}: its episodes ran in the case '{case}', which is another task;"
+            " record them without --case"
+        )
     recorded = api.compile(Source.kept(recording.folder, Permissions())).program
     differ = identity.differences(recorded, program, words=("recording", "scenario"))
     if differ:

@@ -332,12 +332,11 @@ def test_the_world_stands_still_while_its_page_is_hidden():
             server.join()
 
 
-def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, capsys):
-    pytest.importorskip("mcap")
-    path = tmp_path / "drive.mcap"
+def _driven(capsys, path, *words):
+    """Play by holding a key in a browser until an episode has ended, and end the command. Returns its
+    output."""
 
     def drive():
-        """Hold a key in a browser until an episode has ended, and end the command."""
         try:
             while not (address := capsys.readouterr().out.strip()):
                 time.sleep(0.05)
@@ -351,15 +350,51 @@ def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, cap
 
     person = threading.Thread(target=drive)
     person.start()
-    assert main(["play", "cartpole", "--port", "0", "--output", str(path)]) == 130
+    assert main(["play", *words, "--port", "0", "--output", str(path)]) == 130
     person.join()
-    output = capsys.readouterr()
+    return capsys.readouterr()
+
+
+def test_driven_episodes_are_in_the_file_when_the_command_is_ended(tmp_path, capsys):
+    pytest.importorskip("mcap")
+    path = tmp_path / "drive.mcap"
+    output = _driven(capsys, path, "cartpole")
     assert f"{path} (1 episode, " in output.out
     for following in (f"deepbots replay --verify {path}", f"deepbots train cartpole --teacher {path}"):
         assert following in output.err
     assert main(["replay", "--verify", str(path)]) == 0
     assert main(["play", "cartpole", "--output", str(path)]) == 2
     assert "already exists; overwrite it with --force" in capsys.readouterr().err
+
+
+@pytest.fixture
+def steep(tmp_path, monkeypatch):
+    pytest.importorskip("mcap")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "steep.yaml").write_text(
+        "deepbots: 1\nextends: cartpole\ntruncation: {max_steps: 3}\ncurriculum: [{name: first}]\n"
+        "evaluation: {cases: {steep: {set: {world.gravity: 0 0 -12 m/s^2}}}}\n"
+    )
+    return tmp_path / "drive.mcap"
+
+
+def test_the_command_that_trains_by_driven_episodes_has_the_options_of_the_session(steep, capsys):
+    session = "--stage first --engine mujoco"
+    output = _driven(capsys, steep, "steep.yaml", *session.split(), "--allow-code")
+    assert f"deepbots train steep.yaml {session} --teacher {steep} --allow-code\n" in output.err
+
+
+def test_episodes_of_a_case_teach_nothing(steep, capsys):
+    (following,) = re.findall(r"deepbots \w+", _driven(capsys, steep, "steep.yaml", "--case", "steep").err)
+    assert following == "deepbots replay"
+    assert main(["train", "steep.yaml", "--timesteps", "1000", "--teacher", str(steep)]) == 2
+    assert "its episodes ran in the case 'steep'" in capsys.readouterr().err
+
+
+def test_driven_episodes_of_rivals_have_no_sum_of_their_returns(steep, capsys):
+    output = _driven(capsys, steep, "sumo", "--set", "truncation.max_time=1 s")
+    assert "return" not in output.out
+    assert "deepbots train" not in output.err  # a recording teaches one agent
 
 
 @pytest.mark.parametrize("kind", ["playing", "embedded"])

@@ -182,36 +182,38 @@ def _finish(driven: DrivenEpisodes) -> None:
         terminal.note(f"{driven.path} was not written: you drove no episode from its reset to its end")
         return
     driven.save()
-    rows = records.recorded_rows(enumerate(driven.ends))
+    program = driven.player.program
+    rows = records.recorded_rows(enumerate(driven.ends), have_rivals=program.has_rivals)
     count = counted(len(rows), "episode")
     lines = [
         records.recorded_table(rows),
         f"{driven.path} ({count}, {driven.path.stat().st_size / 1000:,.0f} kB)",
     ]
-    further = [["deepbots", "replay", "--verify"], [*_training_words(driven.player.opened), "--teacher"]]
-    terminal.show(
-        None,
-        *lines,
-        as_json=False,
-        next_commands=[f"{join(words)} {shell_word(driven.path)}" for words in further],
-    )
+    further = [f"deepbots replay --verify {shell_word(driven.path)}"]
+    if not (driven.player.opened.shown.case or program.members or program.agent.copies):
+        further.append(join(_training_words(driven.player.opened, driven.path)))
+    terminal.show(None, *lines, as_json=False, next_commands=further)
 
 
-def _training_words(opened: ShowingState) -> list[str]:
-    """Return the words of the command that trains the shown scenario."""
+def _training_words(opened: ShowingState, recording: Path) -> list[str]:
+    """Return the words of the command that trains the shown scenario with a recording as teacher, and with
+    the options of the session."""
+    from deepbots_cli.insight.scenario_facts import training_command
+
     showing = opened.shown
+    words = ["deepbots", "train", showing.reference]
     if opened.run is not None:
-        from deepbots_cli.insight.scenario_facts import training_command
-
-        return training_command(opened.run, showing.overrides)
-    changed = [word for text in showing.overrides for word in ("--set", text)]
-    return [
-        "deepbots",
-        "train",
-        showing.reference,
-        *changed,
-        *(["--engine", showing.engine] if showing.engine else []),
-    ]
+        words = training_command(opened.run, showing.overrides)
+    else:
+        words += [word for text in showing.overrides for word in ("--set", text)]
+        words += [word for path in showing.permissions.folders for word in ("--allow-path", str(path))]
+    teacher = f"./{recording}" if str(recording).startswith("-") else str(recording)
+    options = {"--stage": showing.stage, "--engine": showing.engine, "--teacher": teacher}
+    for name, value in options.items():
+        at = words.index(name) if name in words else len(words)
+        if value:
+            words[at : at + 2] = [name, value]
+    return words if "--allow-code" in words or not showing.permissions.code else [*words, "--allow-code"]
 
 
 def command_studio(
