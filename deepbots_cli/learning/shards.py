@@ -218,7 +218,7 @@ class Shard:
             plan,
             on_step=lambda: None,
             on_episode=lambda world, episode, stage, draws: self._ended.append((stage, draws)),
-            next_episode=lambda: self._next_episode,
+            next_episode=lambda: self._next_episode + len(self._ended),
             note=self._notes.append,
         )
         self._collector = LocalCollector(worlds)
@@ -247,7 +247,8 @@ class Shard:
         shard."""
         actor = self._begun().actor()
         self._stage = order.stage
-        self._next_episode = order.next_episode
+        # An order may be older than the episodes of the one before it.
+        self._next_episode = max(order.next_episode, self._next_episode + len(self._ended))
         self._ended.clear()
         self._notes.clear()
         actor.load(order.parameters)

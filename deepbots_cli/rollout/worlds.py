@@ -588,15 +588,14 @@ class BatchWorlds(Worlds):
         phases = {agent: np.zeros(self.rows, np.int8) for agent in self._agents_alone}
         infos: list[dict[str, Any]] = [{}] * self.rows
         ended_rows: dict[int, tuple[int, BatchStep, BatchEpisodes]] = {}
+        lost: dict[int, LostWorld] = {}
         for stage, episodes in self._batches.items():
             acting = self._rows_in(stage)
             episodes.resting = ~self._in(stage)
             losses_before = len(episodes.batch.losses)
             with self._recording_failures(stage):
                 outcome = episodes.step_all(actions)
-            if self._recorder is not None:
-                for loss in episodes.batch.losses[losses_before:]:
-                    self._recorder.record_lost(stage, loss, episodes.batch.histories.snapshot()[loss.world])
+            lost |= {loss.world: loss for loss in episodes.batch.losses[losses_before:]}
             rewards[acting] = outcome.rewards[acting]
             for agent, term_rows in self._term_places.items():
                 agent_rewards[agent][acting] = outcome.terms[term_rows].sum(axis=0)[acting]
@@ -612,6 +611,10 @@ class BatchWorlds(Worlds):
                 index, outcome, episodes = ended_rows[row]
                 infos[row] = outcome.infos[index]
                 world = row // self._width
+                loss = lost.pop(world, None)
+                if loss is not None and self._recorder is not None:
+                    history = episodes.batch.histories.snapshot()[world]
+                    self._recorder.record_lost(self.stages[world], loss, history)
                 episode = episodes.close(
                     row, with_cause(infos[row], outcome.terminated[row] or outcome.truncated[row])
                 )

@@ -788,7 +788,7 @@ def test_a_value_that_is_not_finite_is_reported_with_its_place_and_repeated_from
     assert "deepbots eval" not in notes
 
 
-def hurled(push: str) -> Compiled:
+def hurled(push: str, shards: int = 1) -> Compiled:
     """The CartPole with a motor at its hinge that hurls the pole out of the range of numbers, in the episodes
     that draw a `push`."""
     text = f"""
@@ -803,7 +803,7 @@ robots:
     apply: {{hinge: push * 1 N*m}}
 termination: {{failure: {{fallen: abs(cart.pole_angle) > 10000 deg, off_track: abs(x) > 1e200 m}}}}
 truncation: {{max_steps: 4}}
-train: {{n_steps: 16, n_epochs: 1}}
+train: {{n_steps: 16, n_epochs: 1, shards: {shards}, environments: {8 * shards}}}
 """
     return api.compile(check(loads(text, base=Path("scenarios").absolute())))
 
@@ -844,17 +844,23 @@ def test_a_training_reports_each_lost_episode_of_a_batch_and_keeps_ten(tmp_path:
         progress=following,
     )
     resets = [text for text in following.notes if "was reset" in text]
-    assert len(resets) == (tmp_path / "run" / "monitor.csv").read_text().count("not_finite") > 10
+    _, _, *episodes = (tmp_path / "run" / "monitor.csv").read_text().splitlines()
+    numbers = [number for number, line in enumerate(episodes, 1) if "not_finite" in line]
+    assert [int(text.split()[1]) for text in resets] == numbers
+    assert len(numbers) > 10
     assert len(list((tmp_path / "run" / "failures").iterdir())) == 10
 
 
-def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("shards", [1, 2])
+def test_a_training_stops_when_worlds_of_a_batch_are_lost_again_and_again(
+    tmp_path: Path, shards: int
+) -> None:
     pytest.importorskip("mujoco")
     with pytest.raises(
         EngineError,
-        match=r"in 10 of the last \d+ episodes the physics was not stable; the last one is episode",
+        match="in 10 of the last 10 episodes the physics was not stable; the last one is episode 10 ",
     ) as caught:
-        train(hurled("1e9"), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
+        train(hurled("1e9", shards), run=tmp_path / "run", total_timesteps=2_000, engine="mujoco")
     files = sorted(path.name for path in (tmp_path / "run" / "failures").iterdir())
     assert len(files) == 10
     assert files[-1] in str(caught.value)
