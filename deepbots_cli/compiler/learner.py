@@ -24,6 +24,7 @@ from deepbots_cli.engine_kinds import ENGINES
 from deepbots_cli.program import Program, identity
 from deepbots_cli.records import dataclass
 from deepbots_cli.scenario.search import SearchSpace, read_range, split_choices
+from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
     from deepbots_cli.compiler import CheckedScenario
@@ -121,7 +122,7 @@ def _first_row(program: Program, *, has_teacher: bool) -> Choice:
         update = settings["environments"] * copies * settings["n_steps"]
         why = (
             f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees"
-            f" {numbers} numbers"
+            f" {counted(numbers, 'number')}"
         )
         settings |= {"learning_rate": 1e-3, "total_timesteps": 200_000}
     elif has_batches and not agent.images and not has_teacher:
@@ -129,7 +130,7 @@ def _first_row(program: Program, *, has_teacher: bool) -> Choice:
         settings |= {"total_timesteps": 3_000_000}
         why = f"{settings['environments']} worlds: the engine {program.engine} steps them as one batch"
     else:
-        much = "images" if agent.images else f"{numbers} numbers"
+        much = "images" if agent.images else counted(numbers, "number")
         settings = {**worlds(16), "n_steps": 128, "batch_size": 256, "n_epochs": 5}
         update = settings["environments"] * copies * settings["n_steps"]
         why = f"updates every {update:,} steps: an episode has at most {steps:,} steps, and the policy sees"
