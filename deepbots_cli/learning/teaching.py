@@ -266,8 +266,8 @@ def read_recording(path: str | Path, program: Program) -> Recording:
     recording = Recording.read(Path(path))
     if case := recording.metadata.get("case"):
         raise UsageError(
-            f"{path} cannot teach {program.name}: its episodes ran in the case '{case}', which is another task;"
-            " record them without --case"
+            f"{path} cannot teach {program.name}: its episodes ran in the case '{case}', which is another"
+            " task; record them without --case"
         )
     recorded = api.compile(Source.kept(recording.folder, Permissions())).program
     differ = identity.differences(recorded, program, words=("recording", "scenario"))
