@@ -423,6 +423,7 @@ def _sections_above(
         if (
             entry.key.span.source is source
             and isinstance(section := entry.value, nodes.MappingNode)
+            and section.span.start > entry.key.span.start  # the mapping of an alias is elsewhere
             and not section.span.text.startswith("{")
             and re.compile(_END_OF_LINE).fullmatch(source.text, section.span.end, key.span.start)
         ):

@@ -275,3 +275,19 @@ def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text()
 def test_a_fix_of_a_moved_line_leaves_no_more_errors_and_the_fixes_end(name: str, spaces: int) -> None:
     moved = _moved_lines(_template(name), spaces)
     assert [number for number, text in moved if not _is_improved(text)] == []
+
+
+def test_a_mistake_in_a_mapping_that_two_names_share_is_one_finding() -> None:
+    wrong = """
+deepbots: 1
+extends: carry
+name: Shared
+robots:
+  left: &rover
+    urdf: rover
+    actuators: {left_wheel: {type: velocity_moto, joint: left_wheel}}
+    apply:
+      left_wheel: gas * speed
+  right: *rover
+"""
+    assert [error.span.text for error in _errors(wrong)] == ["velocity_moto"]
