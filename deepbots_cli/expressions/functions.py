@@ -153,7 +153,10 @@ class Function(NamedTuple):
         doc: One sentence.
         example: A call about the scenario tests/data/scenarios/reference.yaml, for the reference page.
         result: Maps the dimension shared by the arguments to that of the value.
-        interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value.
+        interval: Maps the intervals of the arguments (subjects first, vectors once) to that of the value. It
+            may be called outside of the domain, and must not raise there.
+        slopes: By argument, 1 if the value never falls with it, -1 if it never rises, 0 if it is a setting;
+            the last is that of all further arguments. Empty if the slope has no such sign.
         components: The components of the value, if they do not follow from the arguments.
         boolean: The value is a truth value.
         accepts_truths: The arguments without a dimension of their own may be truth values; the value is then
@@ -190,6 +193,7 @@ class Function(NamedTuple):
     example: str = ""
     result: Callable[[Dimension], Dimension] = _same
     interval: Callable[..., Interval] = _unknown
+    slopes: tuple[int, ...] = ()
     components: Components | None = None
     boolean: bool = False
     accepts_truths: bool = False
@@ -202,11 +206,6 @@ class Function(NamedTuple):
     pieces_operator: str = "or"
     method: str = ""
     memory: str = ""
-
-    @property
-    def domain(self) -> Interval:
-        """The interval that must contain the first argument."""
-        return self.params[0].domain
 
     @property
     def signature(self) -> str:
@@ -394,17 +393,22 @@ _CONDITION = Param("condition", boolean=True)
 
 
 def _operator(
-    name: str, params: tuple[Param, ...], python: str, interval: Callable[..., Interval], array: str = ""
+    name: str,
+    params: tuple[Param, ...],
+    python: str,
+    interval: Callable[..., Interval],
+    array: str = "",
+    slopes: tuple[int, ...] = (),
 ) -> Function:
-    return Function(name, Family.PURE, params, interval=interval, python=python, array=array)
+    return Function(name, Family.PURE, params, interval=interval, slopes=slopes, python=python, array=array)
 
 
 OPERATORS: Mapping[str, Function] = {
     function.name: function
     for function in (
-        _operator("neg", (_A,), "-a", iv.negate),
-        _operator("add", _MANY, "a + b", iv.add),
-        _operator("sub", (_A, _B), "a - b", iv.subtract),
+        _operator("neg", (_A,), "-a", iv.negate, slopes=(-1,)),
+        _operator("add", _MANY, "a + b", iv.add, slopes=(1,)),
+        _operator("sub", (_A, _B), "a - b", iv.subtract, slopes=(1, -1)),
         _operator("mul", (_A, _B), "a * b", iv.multiply),
         _operator("div", (_A, _B), "a / b", iv.divide, "np.true_divide(a, b)"),
         _operator("pow", (_A, _B), "pow(a, b)", iv.power, "np.power(np.asarray(a, float), b)"),
@@ -837,6 +841,7 @@ ARITHMETIC = (
         example="sqrt(distance(rover, ball) / m)",
         result=lambda d: d ** Fraction(1, 2),
         interval=iv.square_root,
+        slopes=(1,),
         python="sqrt(x)",
         array="np.sqrt(x)",
     ),
@@ -848,6 +853,7 @@ ARITHMETIC = (
         example="exp(-distance(rover, ball) / m)",
         result=fixed_dimension(NUMBER),
         interval=lambda x: iv.apply_monotone(math.exp, x),
+        slopes=(1,),
         python="exp(x)",
         array="np.exp(x)",
     ),
@@ -859,6 +865,7 @@ ARITHMETIC = (
         example="log(1 + distance(rover, ball) / m)",
         result=fixed_dimension(NUMBER),
         interval=iv.logarithm,
+        slopes=(1,),
         python="log(x)",
         array="np.log(x)",
     ),
@@ -924,6 +931,7 @@ ARITHMETIC = (
         doc="x, limited to the range.",
         example="clamp(distance(rover, ball), 0 .. 0.5 m)",
         interval=iv.clamp,
+        slopes=(1,),
         python="min(max(x, low), high)",
         helper="clamp",
         array="smaller(larger(x, low), high)",
@@ -946,6 +954,7 @@ ARITHMETIC = (
         doc="The smallest component of one vector, or of several values.",
         example="min(rover.near)",
         interval=iv.minimum,
+        slopes=(1,),
         python="min(*x)",
         array="reduce(smaller, x)",
         reduction=Reduction("min", INF),
@@ -957,6 +966,7 @@ ARITHMETIC = (
         doc="The largest component of one vector, or of several values.",
         example="max(abs(gas), abs(turn))",
         interval=iv.maximum,
+        slopes=(1,),
         python="max(*x)",
         array="reduce(larger, x)",
         reduction=Reduction("max", -INF),
@@ -1072,6 +1082,7 @@ OF_EPISODE = (
         ),
         example="delta(arc_length(rover, track))",
         interval=lambda x, *start: iv.subtract(x, iv.hull((x, *start))),
+        slopes=(1, 0),
         memory="Delta",
     ),
     Function(
@@ -1091,6 +1102,7 @@ OF_EPISODE = (
         doc="The largest value of x since the reset.",
         example="running_max(arc_length(rover, track))",
         interval=interval_of_first,
+        slopes=(1,),
         memory="RunningMax",
     ),
     Function(
@@ -1100,6 +1112,7 @@ OF_EPISODE = (
         doc="The smallest value of x since the reset.",
         example="running_min(distance(rover, ball))",
         interval=interval_of_first,
+        slopes=(1,),
         memory="RunningMin",
     ),
     Function(
@@ -1112,6 +1125,7 @@ OF_EPISODE = (
         ),
         example="hold(position(rover), contact(rover, ball))",
         interval=interval_of_first,
+        slopes=(1, 0),
         accepts_truths=True,
         memory="Hold",
     ),
@@ -1123,6 +1137,7 @@ OF_EPISODE = (
         doc="A first-order low-pass filter with the time constant tau.",
         example="low_pass(velocity(rover).x, 0.2 s)",
         interval=lambda x, tau: x if tau.low >= 0.0 else EVERYTHING,
+        slopes=(1, 0),
         memory="LowPass",
     ),
     Function(
@@ -1132,6 +1147,7 @@ OF_EPISODE = (
         doc="The integral of x over time since the reset.",
         example="integral(abs(cross_track_error(rover, track)))",
         result=lambda d: d * TIME,
+        slopes=(1,),
         memory="Integral",
     ),
     Function(
@@ -1141,6 +1157,7 @@ OF_EPISODE = (
         doc="The running sum of increments, limited to the range.",
         example="accumulate(0.1 * gas, 0 .. 1, 0.5)",
         interval=lambda _increment, low, high, _start: Interval(low.low, high.high),
+        slopes=(1, 0),
         memory="Accumulate",
     ),
     Function(

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import chain, repeat
 from math import ceil, floor, log10, nextafter
 
 from deepbots_cli.analysis import Analysis
 from deepbots_cli.analysis.conditions import (
-    ORDER_PRESERVING,
     ConditionComparison,
     Threshold,
     comparisons,
@@ -29,6 +29,7 @@ from deepbots_cli.analysis.ranges import (
 from deepbots_cli.diagnostics import Finding, Fix, Label
 from deepbots_cli.expressions import intervals as iv
 from deepbots_cli.expressions.dimensions import ANGLE, LENGTH
+from deepbots_cli.expressions.functions import function_named
 from deepbots_cli.expressions.intervals import INF, NEVER, TRUTH, ZERO, Interval
 from deepbots_cli.expressions.scalar import EngineRead, Name, Op, Scalar, State
 from deepbots_cli.expressions.types import referenced_names
@@ -427,8 +428,6 @@ def _just_before(ranges: Ranges, threshold: Threshold | None) -> Ranges:
     return _StillRanges(ranges.analysis, ranges.assumed, ranges.steps, restriction)
 
 
-_RISING_FUNCTIONS = ORDER_PRESERVING | {"delta", "integral", "accumulate", "exp", "log", "sqrt", "clamp"}
-"""The functions that rise with their first argument."""
 _MAX_SHOWN = 60
 """The number of characters of an expression in a help text."""
 _EDGE_SHARE = 0.1
@@ -526,20 +525,21 @@ class Slope:
             case State("previous", _):
                 return 0.0
             case State(function, args):
-                return self.of(args[0]) if function in _RISING_FUNCTIONS else self._independent(args)
+                return self._call(function, args)
             case Op(op, args):
                 return self._op(op, args)
             case _:
                 return 0.0
 
+    def _call(self, function: str, args: tuple[Scalar, ...]) -> float | None:
+        slopes = function_named(function).slopes
+        if not slopes:
+            return self._independent(args)
+        signs = chain(slopes, repeat(slopes[-1]))
+        return _sum([_times(self.of(arg), sign) for arg, sign in zip(args, signs, strict=False)])
+
     def _op(self, op: str, args: tuple[Scalar, ...]) -> float | None:
         match op:
-            case "neg":
-                return _times(self.of(args[0]), -1.0)
-            case "add" | "min" | "max":
-                return _sum([self.of(arg) for arg in args])
-            case "sub":
-                return _sum([self.of(args[0]), _times(self.of(args[1]), -1.0)])
             case "where":
                 # Two constant branches still make a jump where the condition depends on the quantity.
                 slope = _sum([self.of(arg) for arg in args[1:]])
@@ -566,10 +566,8 @@ class Slope:
                 else:
                     sign = None
                 return _times(self.of(args[0]), sign)
-            case _ if op in _RISING_FUNCTIONS:
-                return _sum([self.of(arg) for arg in args])
             case _:
-                return self._independent(args)
+                return self._call(op, args)
 
     def _sign(self, node: Scalar) -> float | None:
         interval = self._ranges.of(node)
@@ -584,7 +582,7 @@ class Slope:
 
 
 def _times(slope: float | None, sign: float | None) -> float | None:
-    if slope == 0.0:
+    if 0.0 in (slope, sign):
         return 0.0
     return None if slope is None or sign is None else slope * sign
 

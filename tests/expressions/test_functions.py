@@ -70,6 +70,22 @@ def test_floats_and_arrays_agree_to_the_last_place(function, data):
         assert value == expected or abs(value - expected) <= math.ulp(expected)
 
 
+@pytest.mark.parametrize(
+    "function", [function for function in ELEMENTWISE if function.slopes], ids=lambda function: function.name
+)
+@given(st.data())
+def test_a_value_rises_and_falls_with_its_arguments_as_the_slopes_say(function, data):
+    low = max(function.params[0].domain.low, -50)
+    count = len(function.arguments) + function.params[-1].variadic
+    args = [data.draw(st.floats(low, 50)) for _ in range(count)]
+    place = data.draw(st.integers(0, len(args) - 1))
+    more = [*args]
+    more[place] = data.draw(st.floats(args[place], 50))
+    slope = [*function.slopes, *[function.slopes[-1]] * len(args)][place]
+    value = scalar_function(function.name)
+    assert slope * value(*args) <= slope * value(*more)
+
+
 @pytest.mark.parametrize(("name", "count"), [("min", 2), ("max", 2), ("min", 3), ("max", 3), ("clamp", 3)])
 def test_zeros_have_the_same_sign_on_floats_and_arrays(name, count):
     rows = [*itertools.product((0.0, -0.0, 1.0, -1.0), repeat=count)]

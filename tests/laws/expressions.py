@@ -426,8 +426,9 @@ class Expressions:
                 repeats = 2
             for _ in range(repeats):
                 texts.append(self._argument(param, arguments, depth, taken, function.components is None))
-        if function.domain != EVERYTHING:
-            texts[0] = f"1 + abs({texts[0]})" if function.domain.low > 0 else f"abs({texts[0]})"
+        domain = function.params[0].domain
+        if domain != EVERYTHING:
+            texts[0] = f"1 + abs({texts[0]})" if domain.low > 0 else f"abs({texts[0]})"
         text = f"{function.name}({', '.join(texts)})"
         if any(map(self._is_group, taken)):
             # One value for each member.
