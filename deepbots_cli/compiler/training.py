@@ -40,7 +40,7 @@ _TOLERANCE = 1e-9
 
 
 def levels(namespace: Namespace, program: Program) -> Levels | None:
-    """Return the levels of the curriculum of a program; None without levels, after a finding, and if a
+    """Return the levels of the curriculum of a program; None without levels, after a finding, and if each
     parameter has one value: a training with `--set level=5` plays one level."""
     spec = namespace.scenario.levels
     return None if spec is None else _LevelsReader(namespace, program, spec).levels()
@@ -67,11 +67,12 @@ class _LevelsReader(NamespaceReader):
                 f"after `{shared[0]}` a world cannot be one level higher and one level lower",
                 f"remove `{shared[0]}` from `up` or `down`, or name the single endings",
             )
-        if len(self._values.findings.errors) > errors_before or start is None or None in values.values():
+        drawn = tuple((name, numbers) for name, numbers in values.items() if numbers is not None)
+        if len(self._values.findings.errors) > errors_before or start is None or not drawn:
             return None
         return Levels(
             spec.levels,
-            tuple((name, numbers) for name, numbers in values.items() if numbers is not None),
+            drawn,
             start,
             frozenset(up),
             frozenset(down),

@@ -1163,6 +1163,16 @@ def test_one_value_by_set_replaces_the_levels() -> None:
     assert program.parameters == ()
 
 
+def test_a_parameter_with_one_value_by_set_leaves_the_levels_of_the_others() -> None:
+    spec = "curriculum={set: {level: 0 .. 5, size: 2 .. 4 cm}, levels: 6, up: success, down: failure}"
+    drawn = ["parameters.size=uniform(1 .. 5 cm)", spec]
+    both = api.compile(SCENARIO, overrides=drawn).program.levels
+    one = api.compile(SCENARIO, overrides=[*drawn, "size=3 cm"]).program.levels
+    assert both is not None
+    assert one is not None
+    assert one.values == both.values[:1]
+
+
 def test_levels_count_for_the_training_alone() -> None:
     plain = api.compile(SCENARIO).program
     changed = api.compile(SCENARIO, overrides=["curriculum.up=truncation", "curriculum.down=failure"]).program

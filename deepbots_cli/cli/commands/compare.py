@@ -270,7 +270,7 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
         "set": short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)),
         "runs": len(group.evaluations),
         **records.scores(group, success_defined=success_defined),
-        "interquartile_mean": group.interquartile_mean if group.return_interval else None,
+        "interquartile_mean": group.interquartile_mean if len(group.evaluations) > 1 else None,
         "solved_after_steps": f"{fmean(solved):,.0f}{count}" if solved else None,
     }
 
