@@ -9,6 +9,7 @@ places in the file. `multi_agent.py` combines the programs.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -18,10 +19,14 @@ from deepbots_cli.compiler.training import words_pattern
 from deepbots_cli.diagnostics import Finding, Findings, Label, Span
 from deepbots_cli.document import Document, Entry, MappingNode, Node, ScalarNode, SequenceNode, files
 from deepbots_cli.document.load import TESTS, settings_in
-from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, without_paths
+from deepbots_cli.document.nodes import entries_at, follow_dotted, node_at, to_data, without_paths
 from deepbots_cli.expressions.scalar import names_in
+from deepbots_cli.expressions.types import QUATERNION
 from deepbots_cli.program import RANDOM, SEPARATOR, ZERO, Others, Program
 from deepbots_cli.records import dataclass
+from deepbots_cli.scenario.base import ListOf, MappingOf, Shape, chosen_shape, section_fields
+from deepbots_cli.scenario.fields import BUILT_IN_NAMES, Word
+from deepbots_cli.scenario.quantities import Solved
 from deepbots_cli.scenario.scenario import with_whole_training
 from deepbots_cli.scenario.task import ALL_AGENTS, AgentOfSeveral
 from deepbots_cli.scenario.validate import validate
@@ -49,6 +54,8 @@ _COPIES = "a robot with copies", "write each robot; agents with `like` and `poli
 _GOAL = "a `goal`", "put the target into the observation, and the distance to it into the reward"
 _REQUIRED = ("action", "observation", "reward")
 _MODEL_SUFFIX = ".zip"
+_WORD_OF_LANGUAGE = rf"\b\w+(?=\s*\()|\b(?:{'|'.join(BUILT_IN_NAMES)})\b|(?<=\.)[{''.join(QUATERNION)}]\b"
+"""A function, a built-in name, or a component."""
 BEST_MODEL = "models/agent/best.zip"
 """The best model in the folder of a run."""
 
@@ -290,7 +297,7 @@ class _Mirrors:
         if model is None:
             return None
         swap = Swap(self._pairs(name, section, node.text, model))
-        mirrored = swap.mapping(model)
+        mirrored = swap.section(model)
         entries = {key: entry for key, entry in section.entries.items() if key != _LIKE}
         self._resolved[name] = replace(mirrored, span=section.span, entries={**mirrored.entries, **entries})
         return self._resolved[name]
@@ -306,47 +313,58 @@ class _Mirrors:
 
 
 class Swap:
-    """Exchanges names in keys and texts. A name ends at `_`, at `.` and at the ends of a word."""
+    """Exchanges names in the section of an agent: in the keys and texts of the user, where a name ends at `_`,
+    at `.` and at the ends of a word. The language has the same keys, words, functions and built-in names for
+    every agent."""
 
     def __init__(self, pairs: Iterable[tuple[str, str]]) -> None:
         self._other = {a: b for pair in pairs for a, b in (pair, pair[::-1])}
-        self._names = words_pattern(self._other)
+        names = words_pattern(self._other).pattern
+        self._words = re.compile(rf"{_WORD_OF_LANGUAGE}|(?P<name>{names})")
 
-    def mapping(self, node: MappingNode) -> MappingNode:
+    def section(self, node: MappingNode, shape: Shape | None = AgentOfSeveral) -> MappingNode:
+        """Return the mapping with exchanged names."""
+        fields = section_fields(shape) if isinstance(shape, type) else {}
+        item = shape.value if isinstance(shape, MappingOf) else None
         entries = {}
-        for entry in node.entries.values():
-            key = self._scalar(entry.key)
-            entries[key.text] = Entry(key, self.node(entry.value))
+        for name, entry in node.entries.items():
+            key = entry.key if name in fields else self._scalar(entry.key)
+            entries[key.text] = Entry(key, self._node(entry.value, fields.get(name, item)))
         return replace(node, entries=entries)
 
-    def node(self, node: Node) -> Node:
-        """Return the tree with exchanged names; each text keeps its place in the file."""
+    def _node(self, node: Node, shape: Shape | None) -> Node:
+        """Return the tree with exchanged names; each text keeps its place in the file. Without a `shape`, the
+        value has no place in the language."""
+        if shape is not None:
+            shape = chosen_shape(shape, to_data(node))
         match node:
             case ScalarNode():
-                return self._scalar(node)
+                return node if isinstance(shape, Word | Solved) else self._scalar(node)
             case SequenceNode():
-                return replace(node, items=tuple(map(self.node, node.items)))
+                item = shape.item if isinstance(shape, ListOf) else shape
+                return replace(node, items=tuple(self._node(below, item) for below in node.items))
             case MappingNode():
-                return self.mapping(node)
-
-    def text(self, text: str) -> str:
-        return self._names.sub(lambda match: self._other[match[0]], text)
+                return self.section(node, shape)
 
     def _scalar(self, node: ScalarNode) -> ScalarNode:
         """Return the text with exchanged names; all letters of a name have the place of the first one."""
-        if not isinstance(node.value, str) or not self._names.search(node.text):
+        names = [match for match in self._words.finditer(node.text) if match["name"]]
+        if not isinstance(node.value, str) or not names:
             return node
         offset_of: Callable[[int], int] = (
             node.span.start.__add__ if node.offsets is None else node.offsets.__getitem__
         )
+        text = ""
         offsets: list[int] = []
         end = 0
-        for match in self._names.finditer(node.text):
+        for match in names:
+            other = self._other[match["name"]]
+            text += node.text[end : match.start()] + other
             offsets += map(offset_of, range(end, match.start()))
-            offsets += [offset_of(match.start())] * len(self._other[match[0]])
+            offsets += [offset_of(match.start())] * len(other)
             end = match.end()
+        text += node.text[end:]
         offsets += map(offset_of, range(end, len(node.text) + 1))
-        text = self.text(node.text)
         return node._replace(text=text, value=text, offsets=offsets)
 
 

@@ -656,11 +656,12 @@ def _noisy(
     change: Change = {}
     for name, (width, unit) in widths.items():
         noise = f"{share * width:.6g}" + (f" {unit}" if unit != "1" else "")
-        text = written(observation, name)
-        if text is not None:
-            change[name] = {"range": text, "noise": noise}
-        elif isinstance(node_at(observation, name), MappingNode):
-            change[name] = {"noise": noise}
+        match node_at(observation, name):
+            case ScalarNode(text=text):
+                change[name] = {"range": text, "noise": noise}
+            case MappingNode() as entry:
+                written_entry: Any = to_data(entry)
+                change[name] = written_entry | {"noise": noise}
     return change
 
 

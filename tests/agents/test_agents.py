@@ -1,6 +1,7 @@
 """Several agents in one world, without learning.
 
 * Several agents in one world: the same world as with one agent that drives all robots, divided.
+* An agent whose name is also a word of the language.
 * Endings that end the episode of one agent while others go on.
 * A limit that is a success.
 * Messages from robot to robot.
@@ -26,8 +27,12 @@ import deepbots_cli
 from deepbots_cli import api
 from deepbots_cli.cli import main
 from deepbots_cli.codegen import batch_obstacles
+from deepbots_cli.compiler.agents import sections_of_agents
 from deepbots_cli.compiler.inputs import RESOLVED_NAME, write_copies
 from deepbots_cli.compiler.inventory import names_at
+from deepbots_cli.diagnostics import Findings, Source
+from deepbots_cli.document import MappingNode, Node, to_data
+from deepbots_cli.document.parse import parse
 from deepbots_cli.errors import BatchError, UsageError
 from deepbots_cli.rollout import Start
 from deepbots_cli.rollout.drivers import AgentsDriver, named_driver
@@ -90,6 +95,35 @@ termination:
     right_fell: tilt(right.pole) > 30 deg
 """
 )
+
+
+MIRRORED = """\
+robots: [{me}]
+action: {{{me}_gas: -1 .. 1}}
+augment: {{seen: position({me}).x, {me}_heard: "hold(2 * ({other}_end), message_received ({other}))"}}
+observation: {{{me}_heard: {{range: 0 .. 5 m}}, previous_action: auto, {me}.{other}_near: auto}}
+reward: {{near: previous_action.{me}_gas * {me}_goal}}
+solved: success_rate >= 0.9 over 50 episodes
+train: {{algorithm: PPO, network: {{hidden: [8], activation: tanh}}, symmetry: {{swap: {{{me}: {other}}}}}}}
+"""
+"""The section of an agent, which an agent `other` mirrors."""
+
+
+@pytest.mark.parametrize(
+    "name", ["red", "action", "range", "success", "previous", "message", "position", "x", "tanh"]
+)
+def test_an_agent_may_have_a_name_that_is_also_a_word_of_the_language(name: str) -> None:
+    agents = {name: to_data(_section(name, "other")), "other": {"like": name, "robots": ["other"]}}
+    root = parse(Source("agents.yaml", json.dumps({"agents": agents})), Findings())
+    assert isinstance(root, MappingNode)
+    mirrored = to_data(sections_of_agents(root)["other"])
+    assert mirrored == to_data(_section("other", name))
+
+
+def _section(me: str, other: str) -> Node:
+    root = parse(Source("section.yaml", MIRRORED.format(me=me, other=other)), Findings())
+    assert root is not None
+    return root
 
 
 several = scenario_fixture(SEVERAL)

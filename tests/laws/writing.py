@@ -37,7 +37,7 @@ from deepbots_cli.expressions.syntax import NUMBER, Number
 from deepbots_cli.lint import all_findings
 from deepbots_cli.program import Program, identity
 from deepbots_cli.scenario.base import MappingOf, Section, shape_at
-from deepbots_cli.scenario.fields import RESERVED, Name
+from deepbots_cli.scenario.fields import BUILT_IN_NAMES, RESERVED, Name
 from deepbots_cli.scenario.quantities import Parsed
 from tests.laws.expressions import Draw, chance, pick, units_of
 from tests.laws.law import Case, law, reference
@@ -712,10 +712,11 @@ class Renaming(dict[str, str]):
     names: Sequence[str] = ()
 
     def word(self, word: str) -> str:
-        """Return a name, or two joined by deepbots (`drive_left`, `gyro_age`), with their new names."""
+        """Return a name, or two joined by deepbots (`drive_left`, `gyro_age`, `red__previous_action`), with
+        their new names."""
         for match in re.finditer("_+", word):
             first, second = word[: match.start()], word[match.end() :]
-            if word not in self and first in self.names and second in (*self.names, "age"):
+            if word not in self and first in self.names and second in (*self.names, "age", *BUILT_IN_NAMES):
                 return f"{self.get(first, first)}{match[0]}{self.get(second, second)}"
         return self.get(word, word)
 
