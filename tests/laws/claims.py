@@ -165,13 +165,20 @@ class Moment(NamedTuple):
         return self.terminated or self.truncated
 
 
-def moments(world: Supervisor, probes: Sequence[Probe], seed: int, steps: int = STEPS) -> list[Moment]:
+def moments(
+    world: Supervisor,
+    probes: Sequence[Probe],
+    seed: int,
+    steps: int = STEPS,
+    after_step: Callable[[], object] = lambda: None,
+) -> list[Moment]:
     """Return the moments of an episode with random actions."""
     shown: Any = world.reset(seed=seed)
     values = tuple(probe.value(world) for probe in probes)
     episode = [Moment(0, values, {}, (), False, False, None, shown[0], 0.0, shown[1])]
     for number, action in zip(range(1, steps + 1), actions(world, seed), strict=False):
         observation, reward, *ends, info = world.step(action)
+        after_step()
         values = tuple(probe.value(world) for probe in probes)
         made = (dict(info["reward_terms"]), tuple(info["endings"]), *ends)
         episode.append(Moment(number, values, *made, action, observation, float(reward), info))
@@ -241,7 +248,8 @@ def with_every_value(program: Program) -> Iterator[None]:
 @law(cost=170, profile=ALONE)
 def every_value_is_within_its_interval(case: Case) -> None:
     """An interval contains every value that it is stated for: in any step, right after a reset, in a known
-    step, and within limits of speed. Rounding is excepted: the analysis folds in another order."""
+    step, and within limits of speed. Rounding is excepted: the analysis folds in another order. Positions of
+    joints are excepted in episodes in which one is too fast for its limits (`BeyondLimits`)."""
     program = case.compile().program
     analysis = Analysis(program)
     probes = probes_of(analysis)
@@ -255,15 +263,51 @@ def every_value_is_within_its_interval(case: Case) -> None:
     for probe, intervals in ranges:
         if not reads("joint_position", analysis, probe.tree):
             intervals += probe.stated
+    of_joints = {probe for probe in probes if reads("joint_position", analysis, probe.tree)}
     with closing(api.build(with_probes(program, probes))) as world:
+        beyond = BeyondLimits(world, analysis)
         for seed in SEEDS:
+            beyond.are_reached = False
             with with_every_value(program):
-                episode = moments(world, probes, seed)
+                episode = moments(world, probes, seed, after_step=beyond.update)
+            excepted = of_joints if beyond.are_reached else ()
             for moment in episode:
                 for (probe, intervals), value in zip(ranges, moment.values, strict=True):
+                    if probe in excepted:
+                        continue
                     now = in_step(analysis, moment.step)
                     for interval in (*intervals, *(one.of(probe.tree) for one in now)):
                         assert within(value, interval), (probe.text, probe.tree, moment.step, value, interval)
+
+
+class BeyondLimits:
+    """Whether a joint passed a limit by more than the analysis states, at a speed that takes it there in one
+    engine step: a limit acts only on a joint that has passed it.
+
+    A Panda that lies in the ground, in PyBullet: `panda_joint3` went from -0.02 to -4.39 rad at 219 rad/s.
+    """
+
+    def __init__(self, world: Supervisor, analysis: Analysis) -> None:
+        self.are_reached = False
+        self._joints = []
+        self._step = analysis.program.world.timestep / analysis.program.world.substeps
+        for body in analysis.program.world.robots:
+            for joint in body.model.moving_joints:
+                stated = analysis.ranges.of(EngineRead("joint_position", (f"{body.name}.{joint.name}",)))
+                read = world.engine.joint_states(body.name, (joint.name,))
+                self._joints.append((read, stated, joint.ends(INF)))
+        world.engine.before_substep(self.update)
+
+    def update(self) -> None:
+        """Check the joints after an engine step: before the next one, or after the last of a step."""
+        for read, stated, (low, high) in self._joints:
+            position, velocity = read()[0][:2]
+            beyond, reach = (
+                (low - position, low - stated.low)
+                if position < low
+                else (position - high, stated.high - high)
+            )
+            self.are_reached |= reach < beyond and reach < abs(velocity) * self._step
 
 
 def is_direction_of_zero(analysis: Analysis, tree: Scalar) -> bool:

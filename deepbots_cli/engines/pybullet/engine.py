@@ -221,12 +221,13 @@ class PyBulletEngine:
                 dict.fromkeys(body.brakes, NEGLIGIBLE_FORCE),
             )
         # All bodies are far apart in this step, so that the solver forgets the contacts of the past episode.
-        # PyBullet removes only some of the pairs of bodies that are no longer close.
+        # PyBullet removes only some of the pairs of bodies that are no longer close. It lists those of a fixed
+        # body in another order from the third step on that the body was not entered anew.
         bodies = (*self._fixed, *self._moving)
         for body in bodies:
             loading.set_self_contact(self._client, body, is_on=False)
         p.stepSimulation(self._client)
-        for body in self._moving:
+        for body in bodies:
             body.forget_pairs()
         for body in bodies:
             loading.set_self_contact(self._client, body, is_on=True)
