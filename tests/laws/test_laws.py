@@ -21,23 +21,18 @@ def test_a_law_holds_for_scenarios_of_a_fixed_seed(name: str) -> None:
     law.try_on(seed=1, examples=max(SHARE // law.cost, 2))
 
 
-FOUND = [*yaml.safe_load_all((Path(__file__).parent / "found.yaml").read_text(encoding="utf-8"))]
+FOUND = [
+    pytest.param(
+        case,
+        id=case["law"],
+        marks=[pytest.mark.xfail(strict=True, reason=case["open"])] if "open" in case else [],
+    )
+    for case in yaml.safe_load_all((Path(__file__).parent / "found.yaml").read_text(encoding="utf-8"))
+]
 """Scenarios that once broke a law, as small as they could be made, each with the name of the law. A scenario
-that still breaks it has the reason under `open`."""
+that still breaks it has the reason under `open`: its test must fail, so that a correction is seen."""
 
 
-def cases_of(found: list[dict[str, Any]]) -> list[Any]:
-    """Return the cases as parameters: an open one must fail, and must leave the list when it is corrected."""
-    return [
-        pytest.param(
-            case,
-            id=case["law"],
-            marks=[pytest.mark.xfail(strict=True, reason=case["open"])] if "open" in case else [],
-        )
-        for case in found
-    ]
-
-
-@pytest.mark.parametrize("case", cases_of(FOUND))
+@pytest.mark.parametrize("case", FOUND)
 def test_a_scenario_that_once_broke_a_law_does_not(case: dict[str, Any]) -> None:
     LAWS[case["law"]].try_on(seed=1, examples=case["draws"], drawn=Drawn(case["scenario"]))
