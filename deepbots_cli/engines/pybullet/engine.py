@@ -221,8 +221,8 @@ class PyBulletEngine:
                 dict.fromkeys(body.brakes, NEGLIGIBLE_FORCE),
             )
         # All bodies are far apart in this step, so that the solver forgets the contacts of the past episode.
-        # PyBullet removes only some of the pairs of bodies that are no longer close. It lists those of a fixed
-        # body in another order from the third step on that the body was not entered anew.
+        # PyBullet removes only some of the pairs of bodies that are no longer close. In a pit, it lists those of
+        # the terrain in another order from the third step on that the terrain was not entered anew.
         bodies = (*self._fixed, *self._moving)
         for body in bodies:
             loading.set_self_contact(self._client, body, is_on=False)
