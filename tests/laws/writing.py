@@ -294,6 +294,8 @@ def another_layout_is_the_same_scenario(case: Case) -> None:
     """YAML has many ways to write the same data: blocks and braces, quotes, line breaks, comments."""
     data = spoiled(case, data_of(case))
     expected = Meaning.of(case.write(data))
+    if any("not indented below" in headline for _, headline in expected.findings):
+        reject()  # that finding is about the layout
     text = case.draw(layouts(data))
     assert _texts(yaml.load(text, yaml.BaseLoader)) == _texts(data), "a fault of the law"
     Meaning.of(case.write(text)).require(expected)
@@ -890,19 +892,20 @@ _DAMAGES = {
 """Slips by their kind: the form of the text, and what is written instead."""
 
 
-def damaged(draw: Draw, text: str) -> tuple[str, str]:
-    """Damage one place as a person does; returns the kind of the slip and the text."""
+def damaged(draw: Draw, text: str) -> tuple[str, str, str]:
+    """Damage one place as a person does; returns the kind of the slip, what was there, and the text."""
     places = {kind: [*re.finditer(form, text)] for kind, (form, _) in _DAMAGES.items()}
     kind = pick(draw, [kind for kind, matches in places.items() if matches])
     match = pick(draw, places[kind])
-    return kind, text[: match.start()] + match.expand(pick(draw, _DAMAGES[kind][1])) + text[match.end() :]
+    damaged_text = text[: match.start()] + match.expand(pick(draw, _DAMAGES[kind][1])) + text[match.end() :]
+    return kind, match.group(), damaged_text
 
 
 @law(cost=100)
 def a_fix_removes_its_finding(case: Case) -> None:
     """A fix that lint offers is what to write instead: it leaves one finding of this kind less, and no more
-    errors than before."""
-    kind, text = damaged(case.draw, case.drawn.text)
+    errors than before, but for other uses of a name whose definition is misspelled."""
+    kind, word, text = damaged(case.draw, case.drawn.text)
     findings = all_findings(api.load(case.write(text), tests=True))
     before = Counter((finding.code, finding.headline) for finding in findings)
     for finding in findings:
@@ -915,7 +918,10 @@ def a_fix_removes_its_finding(case: Case) -> None:
         )
         entry = (finding.code, finding.headline)
         assert after[entry] < before[entry], about
-        assert errors_in(after) <= errors_in(before), f"{about}: {after - before}"
+        others = after
+        if kind == "name":
+            others = Counter({entry: count for entry, count in after.items() if word not in entry[1]})
+        assert errors_in(others) <= errors_in(before), f"{about}: {after - before}"
 
 
 def errors_in(findings: Counter[tuple[str, str]]) -> int:
