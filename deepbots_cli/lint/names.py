@@ -14,7 +14,7 @@ from deepbots_cli.diagnostics import Finding, Fix, Span
 from deepbots_cli.diagnostics.findings import FILL_IN
 from deepbots_cli.document.layout import removal_fix
 from deepbots_cli.document.load import setting_path, settings_in
-from deepbots_cli.document.nodes import NodePath
+from deepbots_cli.document.nodes import NodePath, node_at
 from deepbots_cli.expressions.dimensions import ANGLE
 from deepbots_cli.expressions.scalar import EngineRead, Op, Scalar
 from deepbots_cli.expressions.types import (
@@ -86,8 +86,12 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
 
 
 def _removal(context: RuleContext, path: NodePath) -> Fix | None:
-    """Return the fix that removes an entry; None where a case, a stage or `tune` sets it or a part of it."""
+    """Return the fix that removes an entry; None where a case, a stage or `tune` sets it or a part of it, and
+    for an action beside scripts, which set each action."""
     root = context.values.root
+    *agent, section, _ = path
+    if section == "action" and node_at(root, *agent, "scripts"):
+        return None
     set_paths = (setting_path(root, str(setting[-1])) for setting in settings_in(root))
     return None if any(at[: len(path)] == path for at in set_paths) else removal_fix(root, path)
 
