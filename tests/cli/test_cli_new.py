@@ -289,6 +289,16 @@ def test_new_with_its_schema_again_changes_nothing(deepbots):
     assert deepbots(*words).out.splitlines() == ["mine.yaml (unchanged)", "mine.schema.json (unchanged)"]
 
 
+def test_the_schema_of_a_new_scenario_has_the_names_of_a_robot_in_an_allowed_folder(deepbots, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    allowed = ("--allow-path", str(outside))
+    deepbots("new", "mine", "sub", "--urdf", str(outside / "rover.urdf"), "--schema", *allowed)
+    printed = deepbots("lsp", "--schema", "--for", "sub/mine.yaml", *allowed).out
+    assert (tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8") == printed
+
+
 @pytest.mark.parametrize("name", ["null", "true"])
 def test_a_scenario_called_like_a_word_of_yaml_has_no_finding(deepbots, tmp_path, name):
     deepbots("new", name, "--template", "pit", "--json")
