@@ -308,6 +308,17 @@ FIXES = {
 }
 
 
+def test_a_comment_suppresses_a_warning_also_where_the_robot_file_is_linted_alone(
+    deepbots: Deepbots, tmp_path: Path
+):
+    """DB317 is a rule for scenarios, which does not run."""
+    comments = "<!-- deepbots: ignore[DB305, DB306, DB317] -->"
+    text = robot(link("base", MASS), f'<link name="arm"/> {comments}', joint("hinge", "base", "arm"))
+    (tmp_path / "robot.urdf").write_text(text)
+    (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json").out)["findings"]
+    assert finding["message"] == "this comment suppresses nothing: there is no DB306 here"
+
+
 @pytest.mark.parametrize("case", FIXES)
 def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_path: Path, case: str):
     (tmp_path / "m.obj").write_text(TETRAHEDRON)
