@@ -610,6 +610,19 @@ def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
     ] * 2
 
 
+def test_the_time_of_the_first_item_of_each_row_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = [0.0]
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: now[0])
+    with terminal.progress() as show:
+        for number in (1, 2, 3, 1, 2, 3):
+            now[0] += 10.0
+            show(number, 3)
+    lines = ["1 of 3 episodes  20 s to go", "2 of 3 episodes  10 s to go", "3 of 3 episodes"]
+    assert capsys.readouterr().err.splitlines() == lines * 2
+
+
 CELLS = st.one_of(
     st.none(),
     st.booleans(),
