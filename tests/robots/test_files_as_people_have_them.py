@@ -504,6 +504,10 @@ def test_the_folders_of_ros_count_where_they_are_allowed(
     monkeypatch.setenv(variable, f"/nowhere{os.pathsep}{tmp_path / 'ros'}")
     assert located(tmp_path / "arm", "package://hand/m.obj", tmp_path / "ros") is not None
     assert located(tmp_path / "arm", "package://hand/m.obj") is None
+    write(tmp_path / "own", **{"m.obj": TETRAHEDRON})
+    (tmp_path / "hand").symlink_to(tmp_path / "own")  # a folder beside that of the robot counts first
+    place = located(tmp_path / "arm", "package://hand/m.obj", tmp_path)
+    assert place == Path(os.path.realpath(tmp_path / "own/m.obj"))
 
 
 def test_the_name_in_a_package_xml_of_100_mb_is_read_from_its_beginning(tmp_path: Path):
