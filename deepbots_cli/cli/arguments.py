@@ -170,7 +170,7 @@ def robot_findings(
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
-    """Return the robot file of a path, a shipped name or `package://`.
+    """Return the robot file of a path, or else of a shipped name, or of `package://`.
 
     Raises:
         UsageError: There is no such file.
@@ -178,7 +178,8 @@ def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
     if reference.startswith("package://"):
         path = packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
     else:
-        path = shipped.robot_path(reference) or Path(reference)
+        own = Path(reference)
+        path = own if own.is_file() else shipped.robot_path(reference) or own
     if path is None or not path.is_file():
         names = shipped.robot_names()
         suggestion = packages.library_reference(reference) or nearest_word(reference, names)

@@ -599,18 +599,7 @@ def test_a_speed_of_one_is_in_the_singular(monkeypatch: pytest.MonkeyPatch, coun
     assert stream.getvalue() == f"{count} of {count} episodes of zero  {speed}\n"
 
 
-def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with terminal.progress() as show:
-        for number in (*range(1, 11), *range(1, 11)):
-            show(number, 10)
-    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [
-        *map(str, range(1, 11))
-    ] * 2
-
-
-def test_the_time_of_the_first_item_of_each_row_counts(
+def test_a_second_row_of_episodes_is_counted_and_timed_from_its_own_first_one_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = [0.0]

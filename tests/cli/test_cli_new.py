@@ -26,6 +26,7 @@ import yaml
 
 from deepbots_cli import api, frames
 from deepbots_cli.cli import starters
+from deepbots_cli.cli.arguments import open_robot
 from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.starters.draft import Draft, Template
@@ -209,6 +210,18 @@ def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbot
     assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
 
 
+@pytest.mark.parametrize(("file", "read"), [("rover", "epuck"), ("sub/rover", "rover")])
+def test_the_robot_of_a_new_scenario_is_that_which_was_judged_also_beside_a_file_called_like_it(
+    deepbots, tmp_path, file, read
+):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "pyproject.toml").write_text("")
+    (tmp_path / file).write_bytes(shipped.robot_path("epuck").read_bytes())
+    deepbots("new", "mine", "sub", "--urdf", "rover")
+    (robot,) = api.compile(tmp_path / "sub" / "mine.yaml").program.world.robots
+    assert robot.model == open_robot(str(shipped.robot_path(read)))[0].model
+
+
 def test_joints_and_a_file_with_unusual_names_make_a_scenario(deepbots, tmp_path):
     text = shipped.robot_path("rover").read_text(encoding="utf-8")
     text = text.replace('"left_wheel"', '"on"').replace('"right_wheel"', '"right: wheel, {1}"')
@@ -290,12 +303,9 @@ def test_new_with_its_schema_again_changes_nothing(deepbots):
 
 
 def test_the_schema_of_a_new_scenario_has_the_names_of_a_robot_in_an_allowed_folder(deepbots, tmp_path):
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
-    allowed = ("--allow-path", str(outside))
-    deepbots("new", "mine", "sub", "--urdf", str(outside / "rover.urdf"), "--schema", *allowed)
-    printed = deepbots("lsp", "--schema", "--for", "sub/mine.yaml", *allowed).out
+    (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    deepbots("new", "mine", "sub", "--urdf", "rover.urdf", "--schema", "--allow-path", ".")
+    printed = deepbots("lsp", "--schema", "--for", "sub/mine.yaml", "--allow-path", ".").out
     assert (tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8") == printed
 
 

@@ -372,9 +372,12 @@ def _copies(file: RobotFile, path: Path) -> Files:
 def _reference(robot: str, folder: Path, permissions: Permissions, base: str) -> str:
     """Return the reference to a robot file in a scenario in `folder`; commands in an error begin with
     `base`."""
-    if robot.startswith("package://") or shipped.robot_path(robot) is not None:
+    file = robot_path(robot, permissions.folders)
+    # In a scenario, a file of this name comes before the shipped robot.
+    is_name = file == shipped.robot_path(robot) and not (folder / robot).is_file()
+    if is_name or robot.startswith("package://"):
         return robot
-    path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
+    path = os.path.relpath(file.resolve(), folder.resolve()).replace(os.sep, "/")
     referenced = resolve_reference(
         path,
         folder.resolve(),
