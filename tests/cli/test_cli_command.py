@@ -602,14 +602,13 @@ def test_a_speed_of_one_is_in_the_singular(monkeypatch: pytest.MonkeyPatch, coun
 def test_a_second_row_of_episodes_is_counted_and_timed_from_its_own_first_one_on(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    now = [0.0]
-    monkeypatch.setattr(terminal.time, "perf_counter", lambda: now[0])
+    now = 0.0
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: now)
     with terminal.progress() as show:
-        for number in (1, 2, 3, 1, 2, 3):
-            now[0] += 10.0
-            show(number, 3)
-    lines = ["1 of 3 episodes  20 s to go", "2 of 3 episodes  10 s to go", "3 of 3 episodes"]
-    assert capsys.readouterr().err.splitlines() == lines * 2
+        for now in (10.0, 20.0, 30.0, 40.0, 50.0, 60.0):
+            show(int(now / 10.0 - 1.0) % 3 + 1, 3)
+    row = "1 of 3 episodes  20 s to go\n2 of 3 episodes  10 s to go\n3 of 3 episodes\n"
+    assert capsys.readouterr().err == row * 2
 
 
 CELLS = st.one_of(

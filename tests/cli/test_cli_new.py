@@ -296,17 +296,15 @@ def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_o
     assert (tmp_path / "mine.schema.json").exists()
 
 
-def test_new_with_its_schema_again_changes_nothing(deepbots):
-    words = ("new", "mine", "--template", "pit", "--schema")
-    deepbots(*words)
-    assert deepbots(*words).out.splitlines() == ["mine.yaml (unchanged)", "mine.schema.json (unchanged)"]
-
-
-def test_the_schema_of_a_new_scenario_has_the_names_of_a_robot_in_an_allowed_folder(deepbots, tmp_path):
+def test_a_schema_has_the_names_of_a_robot_in_an_allowed_folder_and_the_same_command_changes_nothing(
+    deepbots, tmp_path
+):
     (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
-    deepbots("new", "mine", "sub", "--urdf", "rover.urdf", "--schema", "--allow-path", ".")
+    words = ("new", "mine", "sub", "--urdf", "rover.urdf", "--schema", "--allow-path", ".")
+    deepbots(*words)
     printed = deepbots("lsp", "--schema", "--for", "sub/mine.yaml", "--allow-path", ".").out
     assert (tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8") == printed
+    assert deepbots(*words).out == "sub/mine.yaml (unchanged)\nsub/mine.schema.json (unchanged)\n"
 
 
 @pytest.mark.parametrize("name", ["null", "true"])

@@ -312,9 +312,8 @@ def test_a_comment_suppresses_a_warning_also_where_the_robot_file_is_linted_alon
     deepbots: Deepbots, tmp_path: Path
 ):
     """DB317 is a rule for scenarios, which does not run."""
-    comments = "<!-- deepbots: ignore[DB305, DB306, DB317] -->"
-    text = robot(link("base", MASS), f'<link name="arm"/> {comments}', joint("hinge", "base", "arm"))
-    (tmp_path / "robot.urdf").write_text(text)
+    arm = '<link name="arm"/> <!-- deepbots: ignore[DB305, DB306, DB317] -->'
+    write(tmp_path, **{"robot.urdf": robot(link("base", MASS), arm, joint("hinge", "base", "arm"))})
     (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json").out)["findings"]
     assert finding["message"] == "this comment suppresses nothing: there is no DB306 here"
 
@@ -506,8 +505,7 @@ def test_the_folders_of_ros_count_where_they_are_allowed(
     assert located(tmp_path / "arm", "package://hand/m.obj") is None
     write(tmp_path / "own", **{"m.obj": TETRAHEDRON})
     (tmp_path / "hand").symlink_to(tmp_path / "own")  # a folder beside that of the robot counts first
-    place = located(tmp_path / "arm", "package://hand/m.obj", tmp_path)
-    assert place == Path(os.path.realpath(tmp_path / "own/m.obj"))
+    assert str(located(tmp_path / "arm", "package://hand/m.obj", tmp_path)).endswith("own/m.obj")
 
 
 def test_the_name_in_a_package_xml_of_100_mb_is_read_from_its_beginning(tmp_path: Path):
