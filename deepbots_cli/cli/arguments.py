@@ -14,11 +14,13 @@ from deepbots_cli import api
 from deepbots_cli.analysis.changes import WrittenScenario
 from deepbots_cli.cli import terminal
 from deepbots_cli.diagnostics import Finding, Findings
+from deepbots_cli.diagnostics.findings import suppress as without_suppressed
 from deepbots_cli.diagnostics.nearest import did_you_mean, nearest_word
 from deepbots_cli.document import Permissions, files, shipped
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
+from deepbots_cli.lint import STATIC_RULES
 from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.processes import available_cores
 from deepbots_cli.records import dataclass
@@ -149,21 +151,26 @@ def robot_findings(
     arguments: Mapping[str, str] | None = None,
     drafts: Drafts = NO_DRAFTS,
 ) -> list[Finding]:
-    """Return the findings of a robot file alone, or of its draft. Those of a file that it includes have no
-    fix: linting that file fixes it.
+    """Return the findings of a robot file alone, or of its draft, that no comment suppresses. Those of a file
+    that it includes have no fix: linting that file fixes it. A comment without use is left to the author.
 
     Raises:
         UsageError: There is no such file.
     """
     name = files.display_path(robot_path(reference, allowed).resolve())
-    return [
-        finding if finding.span.source.name == name else replace(finding, fix=None)
-        for finding in _read_robot(reference, allowed, arguments, drafts)[1]
+    file, findings, _ = _read_robot(reference, allowed, arguments, drafts)
+    remaining, unused = without_suppressed(findings, file.sources if file else ())
+    # The rules for scenarios, such as DB317, did not run.
+    rules = {rule.code for rule in STATIC_RULES}
+    remaining = [
+        finding if finding.span.source.name == name else replace(finding, fix=None) for finding in remaining
     ]
+    remaining += [replace(finding, fix=None) for finding in unused if finding.span.text not in rules]
+    return sorted(remaining, key=lambda finding: finding.sort_key)
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
-    """Return the robot file of a path, a shipped name or `package://`.
+    """Return the robot file of a path, or else of a shipped name, or of `package://`.
 
     Raises:
         UsageError: There is no such file.
@@ -171,7 +178,8 @@ def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:
     if reference.startswith("package://"):
         path = packages.locate_file(reference, Path.cwd(), (Path.cwd(), *map(Path, allowed)))
     else:
-        path = shipped.robot_path(reference) or Path(reference)
+        own = Path(reference)
+        path = own if own.is_file() else shipped.robot_path(reference) or own
     if path is None or not path.is_file():
         names = shipped.robot_names()
         suggestion = packages.library_reference(reference) or nearest_word(reference, names)

@@ -79,18 +79,18 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
     Unless `always`, there is at most one line in 2 s if standard error is not a terminal.
     """
     bar: ProgressBar | None = None
-    shown_at = time.perf_counter()
+    began = shown_at = time.perf_counter()
 
     def show(count: int, total: int) -> None:
-        nonlocal bar, shown_at
-        bar = bar or ProgressBar(total, unit)
+        nonlocal bar, began, shown_at
+        bar = bar or ProgressBar(total, unit, began=began)
         now = time.perf_counter()
         if always or sys.stderr.isatty() or now - shown_at >= _LINE_INTERVAL_S:
             bar.update(count)
             shown_at = now
         if count >= total:
             bar.close()
-            bar = None
+            bar, began = None, now
 
     try:
         yield show
@@ -206,16 +206,18 @@ _LINE_INTERVAL_S = 2.0
 
 class ProgressBar:
     """The progress of a task, its speed, and the remaining time; `unit` is the name of the counted items, in
-    the plural.
+    the plural. The first item began at `began`, by default now.
 
     On a terminal, the bar disappears at the end. Elsewhere there is a line for every tenth.
     """
 
-    def __init__(self, total: int, unit: str, *, stream: TextIO | None = None) -> None:
+    def __init__(
+        self, total: int, unit: str, *, began: float | None = None, stream: TextIO | None = None
+    ) -> None:
         self._total = max(1, total)
         self._unit = unit
         self._display = Display(stream, transient=True)
-        self._began = time.perf_counter()
+        self._began = time.perf_counter() if began is None else began
         self._tenth = 0
 
     def update(self, count: int) -> None:

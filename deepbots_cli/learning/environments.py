@@ -180,12 +180,12 @@ class EvaluationWorlds:
     ) -> list[Episode]:
         """Play an episode from each seed, or only the episodes with these `numbers`.
 
-        They are the same in a batch and in a single world. With `until`, they end with the first
-        episode for which it returns True.
+        They are the same in a batch and in a single world; unless `deterministic`, single worlds play. With
+        `until`, they end with the first episode for which it returns True.
         """
         numbers = range(len(seeds)) if numbers is None else numbers
-        if self._batch is not None and self.has_batch_for(len(numbers)):
-            with suppress(DeepbotsError):  # a single world reports its place, and keep the episode
+        if deterministic and self._batch is not None and self.has_batch_for(len(numbers)):
+            with suppress(DeepbotsError):  # a single world reports its place, and keeps the episode
                 finished = play_batch(policy, self._batch, [seeds[number] for number in numbers])
                 return ordered_episodes(finished, range(len(numbers)), on_episode, until)
         goes_together = deterministic and not has_copies(self.first)

@@ -5,7 +5,7 @@
 1. the installed Python package X, found without importing it
 2. the folder of the robot file and those above it, nearest first, that are called X or whose `package.xml`
    names X
-3. the folders X beside them, then those up to `_MAX_DEPTH` levels below them
+3. the folders called X beside them, nearest first, then the packages X up to `_MAX_DEPTH` levels below
 4. the entries of ROS_PACKAGE_PATH and AMENT_PREFIX_PATH
 5. the folder of the robot file and those above it, whatever they are called
 
@@ -196,13 +196,13 @@ class Places:
         """Yield the places for a file of a package, in the order of the docstring of this module."""
         if package:
             yield from (folder / inside for folder in self._named(package))
-            yield from (above / package / inside for above in self._above)
         yield from (above / inside for above in self._above)
 
     def _named(self, package: str) -> Iterator[Path]:
         """Yield the folders of packages of this name; far ones are searched only if needed."""
         near = [folder for folder in self._above if self._is_named(folder, package)]
         yield from near
+        yield from (above / package for above in self._above)  # also links and others that are not searched
         if package not in self._packages:
             far = [folder for folder in self._searched() if self._is_named(folder, package)]
             self._packages[package] = [*near, *far, *self._in_environment(package)]

@@ -659,18 +659,23 @@ def test_a_running_batch_is_restored_exactly(program: Program) -> None:
             assert [ending.episode for ending in mine.endings] == [ending.episode for ending in again.endings]
 
 
+def untrained(program: Program, spaces: Any) -> Any:
+    """A policy for the spaces of these worlds."""
+    assert program.agent.training is not None
+    return learner.create(
+        learner.Setup(program.agent.training, spaces.observation_space, spaces.action_space)
+    )
+
+
 def evaluated(
     name: str, worlds: int, seeds: list[int], overrides: tuple[str, ...] = ()
 ) -> tuple[list[Episode], list[Episode]]:
     """Episodes of an untrained policy in a batch, and in a single world."""
     program = api.compile(name, overrides=overrides).program
-    assert program.agent.training is not None
     single = api.build(program, engine="mujoco")
     numbers = range(len(seeds))
     with closing(SingleWorlds([single], [0])), closing(api.build_batch(program, worlds)) as many:
-        policy = learner.create(
-            learner.Setup(program.agent.training, many.observation_space, many.action_space)
-        )
+        policy = untrained(program, many)
         apart = play_episodes(policy, single, seeds, deterministic=True, numbers=numbers)
         return ordered_episodes(play_batch(policy, many, seeds), numbers), ordered_episodes(apart, numbers)
 
@@ -698,15 +703,21 @@ def test_an_evaluation_in_a_batch_gives_the_episodes_of_single_worlds(
 def test_an_evaluation_in_which_a_world_fails_is_left_to_single_worlds() -> None:
     """They say which episode it is, and keep it."""
     program = api.compile("cartpole", overrides=("reward.odd=1/(5 - step)",)).program
-    assert program.agent.training is not None
     with closing(EvaluationWorlds(supervisor_factory("mujoco"), engine="mujoco", batch=8)) as worlds:
         worlds.enter(program)
         assert worlds.has_batch_for(8)
-        policy = learner.create(
-            learner.Setup(program.agent.training, worlds.first.observation_space, worlds.first.action_space)
-        )
+        policy = untrained(program, worlds.first)
         with pytest.raises(EvaluationError, match=r"episode 0 \(seed 0\), .*step 5"):
             worlds.play(policy, range(8))
+
+
+def test_a_policy_that_draws_its_actions_plays_in_single_worlds() -> None:
+    program = api.compile("cartpole", overrides=("action={drive: -1 .. 1}", "reward.push=drive")).program
+    with closing(EvaluationWorlds(supervisor_factory("mujoco"), engine="mujoco", batch=8)) as worlds:
+        worlds.enter(program)
+        policy = untrained(program, worlds.first)
+        likeliest, drawn = (worlds.play(policy, range(8), deterministic=value) for value in (True, False))
+    assert likeliest != drawn
 
 
 def test_a_note_says_why_worlds_are_stepped_one_by_one() -> None:

@@ -599,15 +599,16 @@ def test_a_speed_of_one_is_in_the_singular(monkeypatch: pytest.MonkeyPatch, coun
     assert stream.getvalue() == f"{count} of {count} episodes of zero  {speed}\n"
 
 
-def test_a_second_row_of_episodes_is_counted_from_its_own_first_one_on(
-    capsys: pytest.CaptureFixture[str],
+def test_a_second_row_of_episodes_is_counted_and_timed_from_its_own_first_one_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    now = 0.0
+    monkeypatch.setattr(terminal.time, "perf_counter", lambda: now)
     with terminal.progress() as show:
-        for number in (*range(1, 11), *range(1, 11)):
-            show(number, 10)
-    assert [line.partition(" ")[0] for line in capsys.readouterr().err.splitlines()] == [
-        *map(str, range(1, 11))
-    ] * 2
+        for now in (10.0, 20.0, 30.0, 40.0, 50.0, 60.0):
+            show(int(now / 10.0 - 1.0) % 3 + 1, 3)
+    row = "1 of 3 episodes  20 s to go\n2 of 3 episodes  10 s to go\n3 of 3 episodes\n"
+    assert capsys.readouterr().err == row * 2
 
 
 CELLS = st.one_of(

@@ -26,6 +26,7 @@ import yaml
 
 from deepbots_cli import api, frames
 from deepbots_cli.cli import starters
+from deepbots_cli.cli.arguments import open_robot
 from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.starters.draft import Draft, Template
@@ -209,6 +210,18 @@ def test_a_robot_file_of_ones_own_is_named_by_its_path_from_the_scenario(deepbot
     assert api.lint(tmp_path / "scenarios" / "mine.yaml") == []
 
 
+@pytest.mark.parametrize(("file", "read"), [("rover", "epuck"), ("sub/rover", "rover")])
+def test_the_robot_of_a_new_scenario_is_that_which_was_judged_also_beside_a_file_called_like_it(
+    deepbots, tmp_path, file, read
+):
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "pyproject.toml").write_text("")
+    (tmp_path / file).write_bytes(shipped.robot_path("epuck").read_bytes())
+    deepbots("new", "mine", "sub", "--urdf", "rover")
+    (robot,) = api.compile(tmp_path / "sub" / "mine.yaml").program.world.robots
+    assert robot.model == open_robot(str(shipped.robot_path(read)))[0].model
+
+
 def test_joints_and_a_file_with_unusual_names_make_a_scenario(deepbots, tmp_path):
     text = shipped.robot_path("rover").read_text(encoding="utf-8")
     text = text.replace('"left_wheel"', '"on"').replace('"right_wheel"', '"right: wheel, {1}"')
@@ -283,10 +296,15 @@ def test_without_a_schema_a_new_scenario_names_none_and_prints_the_command_for_o
     assert (tmp_path / "mine.schema.json").exists()
 
 
-def test_new_with_its_schema_again_changes_nothing(deepbots):
-    words = ("new", "mine", "--template", "pit", "--schema")
+def test_a_schema_has_the_names_of_a_robot_in_an_allowed_folder_and_the_same_command_changes_nothing(
+    deepbots, tmp_path
+):
+    (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
+    words = ("new", "mine", "sub", "--urdf", "rover.urdf", "--schema", "--allow-path", ".")
     deepbots(*words)
-    assert deepbots(*words).out.splitlines() == ["mine.yaml (unchanged)", "mine.schema.json (unchanged)"]
+    printed = deepbots("lsp", "--schema", "--for", "sub/mine.yaml", "--allow-path", ".").out
+    assert (tmp_path / "sub" / "mine.schema.json").read_text(encoding="utf-8") == printed
+    assert deepbots(*words).out == "sub/mine.yaml (unchanged)\nsub/mine.schema.json (unchanged)\n"
 
 
 @pytest.mark.parametrize("name", ["null", "true"])

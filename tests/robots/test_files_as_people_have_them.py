@@ -308,6 +308,16 @@ FIXES = {
 }
 
 
+def test_a_comment_suppresses_a_warning_also_where_the_robot_file_is_linted_alone(
+    deepbots: Deepbots, tmp_path: Path
+):
+    """DB317 is a rule for scenarios, which does not run."""
+    arm = '<link name="arm"/> <!-- deepbots: ignore[DB305, DB306, DB317] -->'
+    write(tmp_path, **{"robot.urdf": robot(link("base", MASS), arm, joint("hinge", "base", "arm"))})
+    (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json").out)["findings"]
+    assert finding["message"] == "this comment suppresses nothing: there is no DB306 here"
+
+
 @pytest.mark.parametrize("case", FIXES)
 def test_a_robot_file_is_fixed_and_has_no_findings_then(deepbots: Deepbots, tmp_path: Path, case: str):
     (tmp_path / "m.obj").write_text(TETRAHEDRON)
@@ -493,6 +503,9 @@ def test_the_folders_of_ros_count_where_they_are_allowed(
     monkeypatch.setenv(variable, f"/nowhere{os.pathsep}{tmp_path / 'ros'}")
     assert located(tmp_path / "arm", "package://hand/m.obj", tmp_path / "ros") is not None
     assert located(tmp_path / "arm", "package://hand/m.obj") is None
+    write(tmp_path / "own", **{"m.obj": TETRAHEDRON})
+    (tmp_path / "hand").symlink_to(tmp_path / "own")  # a folder beside that of the robot counts first
+    assert str(located(tmp_path / "arm", "package://hand/m.obj", tmp_path)).endswith("own/m.obj")
 
 
 def test_the_name_in_a_package_xml_of_100_mb_is_read_from_its_beginning(tmp_path: Path):

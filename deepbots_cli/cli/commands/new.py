@@ -166,10 +166,12 @@ def command(
         contents |= {PurePosixPath(path): text.encode() for path, text in _PROJECT.items()}
         contents[PurePosixPath("deepbots.schema.json")] = schema_text().encode()
     before = _contents([*(folder / target for target in contents), folder / f"{name}.schema.json"])
-    write = write_with_schema if schema else write_new
-    paths = write(contents, folder, force=force)
     if copy:
         permissions = Permissions(code=permissions.code)
+    if schema:
+        paths = write_with_schema(contents, folder, permissions, force=force)
+    else:
+        paths = write_new(contents, folder, force=force)
     if urdf or starter is not None:
         terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
     if starter is not None:
@@ -370,9 +372,12 @@ def _copies(file: RobotFile, path: Path) -> Files:
 def _reference(robot: str, folder: Path, permissions: Permissions, base: str) -> str:
     """Return the reference to a robot file in a scenario in `folder`; commands in an error begin with
     `base`."""
-    if robot.startswith("package://") or shipped.robot_path(robot) is not None:
+    file = robot_path(robot, permissions.folders)
+    # In a scenario, a file of this name comes before the shipped robot.
+    is_name = file == shipped.robot_path(robot) and not (folder / robot).is_file()
+    if is_name or robot.startswith("package://"):
         return robot
-    path = os.path.relpath(Path(robot).resolve(), folder.resolve()).replace(os.sep, "/")
+    path = os.path.relpath(file.resolve(), folder.resolve()).replace(os.sep, "/")
     referenced = resolve_reference(
         path,
         folder.resolve(),
@@ -534,7 +539,7 @@ def _show(
     terminal.show(facts, *lines, as_json=as_json, next_commands=further)
 
 
-def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
+def write_with_schema(files: Files, folder: Path, permissions: Permissions, *, force: bool) -> list[Path]:
     """Write the files into `folder`, the first of them a scenario, with a schema for that one. Returns the
     files that were written.
 
@@ -549,14 +554,8 @@ def write_with_schema(files: Files, folder: Path, *, force: bool) -> list[Path]:
     if is_new and os.path.lexists(folder / schema):
         refuse_overwriting(folder / schema, force=force)
     paths = write_new({target: with_modeline, **dict(remaining)}, folder, force=force)
-    return [
-        *paths,
-        *write_new(
-            {PurePosixPath(schema): schema_text(scenario_names(api.load(paths[0]))).encode()},
-            folder,
-            force=force,
-        ),
-    ]
+    names = scenario_names(api.load(paths[0], permissions=permissions))
+    return [*paths, *write_new({schema: schema_text(names).encode()}, folder, force=force)]
 
 
 def command_scenarios(as_json: Json = False) -> None:
