@@ -186,7 +186,7 @@ def curriculum(author: Author) -> Any:
     ]
     if ranges and chance(author.draw, 60):
         name = pick(author.draw, ranges)
-        span = re.sub(r"uniform\((.*)\).*", r"\1", author.data["parameters"][name])
+        span = re.sub(r"uniform\(([^()]*)\).*", r"\1", author.data["parameters"][name])
         drawn: dict[str, Any] = {"set": {name: span}, "levels": author.draw(st.integers(2, 5))}
         drawn["up"] = pick(author.draw, ("truncation", [*author.data["truncation"]]))
         if author.data.get("termination", {}).get("failure"):
