@@ -233,10 +233,12 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
 
 
 def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
-    """Return whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
+    """Return whether it never moves: a fixed object, a mark, a link that no joint moves of a robot that is
+    bolted down."""
     robot = namespace.robots.get(body)
     if robot is not None:
-        return robot.spec.base == "fixed" and link in ("", robot.model.root)
+        model = robot.model
+        return robot.spec.base == "fixed" and link in ("", *model.links_below(model.root, rigid=True))
     object_spec = namespace.scenario.objects.get(body)
     return bool(getattr(object_spec, "fixed", False)) or getattr(object_spec, "solid", True) is False
 
