@@ -229,7 +229,7 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
         node.subjects[0]
         for value in (*on_board, *computed)
         for node in walk(value)
-        if isinstance(node, EngineRead)
+        if isinstance(node, EngineRead) and node.function == "age"
     }
     used = [
         sensor

@@ -104,13 +104,14 @@ def route(direction: Direction | Literal["between_robots"], namespace: Namespace
         # Losses in runs of mean length b with at least one message between make up b / (b + 1) of all, at
         # most. With a loss of exactly 100 %, there is none between.
         most = burst / (burst + 1.0)
-        if most < highest and lowest < 1.0:
+        if most < highest * (1.0 - 1e-9) and lowest < 1.0:
             share = f"{floor(1000.0 * most) / 10.0:g} %"
             help = f"keep `loss` at {share} or below"
             if highest < 1.0:
                 least = highest / (1.0 - highest)
                 unit = 10.0 ** (floor(log10(least)) - 2)  # three digits, rounded up
-                help += f", or write a `burst` of at least {ceil(least / unit) * unit:.6g}"
+                # 0.9 / (1 - 0.9) is 9.000000000000002.
+                help += f", or write a `burst` of at least {ceil(round(least / unit, 6)) * unit:.6g}"
             values.add(
                 "DB105",
                 values.field(spec, "burst").span,
@@ -232,10 +233,12 @@ def _pushed(spec: DisturbanceSpec, namespace: Namespace) -> tuple[str, str | Non
 
 
 def _is_fixed(body: str, link: str, namespace: Namespace) -> bool:
-    """Return whether it never moves: a fixed object, a mark, the root link of a robot that is bolted down."""
+    """Return whether it never moves: a fixed object, a mark, a link that no joint moves of a robot that is
+    bolted down."""
     robot = namespace.robots.get(body)
     if robot is not None:
-        return robot.spec.base == "fixed" and link in ("", robot.model.root)
+        model = robot.model
+        return robot.spec.base == "fixed" and link in ("", *model.links_below(model.root, rigid=True))
     object_spec = namespace.scenario.objects.get(body)
     return bool(getattr(object_spec, "fixed", False)) or getattr(object_spec, "solid", True) is False
 

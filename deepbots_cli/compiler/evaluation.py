@@ -138,7 +138,9 @@ def training(
             )
     _check_shards(spec.train, values)
     _check_network(spec.train.network.hidden, values)
-    _check_samples(spec.train, copies, values)
+    # A robot with a finding has no copies here, but each copy that the file asks for gives samples.
+    has_copies = spec.agent.each is not None or values.is_invalid("each")
+    _check_samples(spec.train, values, has_copies=has_copies)
     return Training(
         spec.train.algorithm,
         spec.train.total_timesteps,
@@ -226,13 +228,13 @@ def _check_network(hidden: Sequence[int], values: ValueReader) -> None:
         values.add("DB105", path, headline, "use fewer units")
 
 
-def _check_samples(train: TrainingSpec, copies: RobotCopies | None, values: ValueReader) -> None:
+def _check_samples(train: TrainingSpec, values: ValueReader, *, has_copies: bool) -> None:
     """Report settings of an update that Stable-Baselines3 refuses."""
     settings = train.hyperparameters
     if settings.get("clip_range_vf") == 0.0:
         headline = "with a `clip_range_vf` of 0, the value function learns nothing"
         values.add("DB105", ("train", "clip_range_vf"), headline, "write a number above 0, or leave it out")
-    is_one_sample = settings.get("n_steps") == train.environments == 1 and copies is None
+    is_one_sample = settings.get("n_steps") == train.environments == 1 and not has_copies
     # PPO and its kin normalize advantages by their standard deviation, which a single sample lacks.
     normalizes = settings.get(
         "normalize_advantage", train.on_policy and "batch_size" in train.hyperparameter_names()

@@ -355,7 +355,7 @@ Mixture = Annotated[dict[LayoutName, Share], Size(1, "layout")]
 class Reset(Section):
     """How an episode begins."""
 
-    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layout", "place")),)
+    key_rules: ClassVar[tuple[KeyCount, ...]] = (KeyCount(("layouts", "place")),)
 
     place: Places = {}
     """Start poses of robots and objects. Bodies with coordinates are placed first; the others follow in the

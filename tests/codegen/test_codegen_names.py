@@ -138,6 +138,11 @@ def test_a_name_is_never_taken_for_something_else(tmp_path: Path, awkward: str) 
     assert actual == expected
 
 
+def test_a_sensor_with_the_name_of_a_link_is_not_sampled_for_a_function_of_the_link(tmp_path: Path) -> None:
+    unused = "robots.cart.sensors.cart={type: joint_position, joint: slider, noise: 1 mm}"
+    assert "sense_cart" not in api.compile(scenario(tmp_path), overrides=[unused]).code
+
+
 @pytest.mark.parametrize("name", ["maximum", "minimum", "np"])
 def test_a_name_is_no_function_of_a_batch(tmp_path: Path, name: str) -> None:
     file = tmp_path / "named.yaml"

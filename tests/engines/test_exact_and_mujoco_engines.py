@@ -468,10 +468,11 @@ def marbles(count: int) -> WorldModel:
     return WorldModel(0.02, 4, ground=Ground(), objects=(tray, *objects))
 
 
-def dumbbell() -> WorldModel:
+def dumbbell(mass: float = 2.0) -> WorldModel:
     """A hull with a weight that a hinge along its x axis holds, beside it."""
     hull = Link("hull", Inertial(3.0, ixx=0.1, iyy=0.2, izz=0.3))
-    weight = Link("weight", Inertial(2.0, Pose((0, 0.5, 0)), ixx=0.04, iyy=0.04, izz=0.04))
+    moment = 0.02 * mass
+    weight = Link("weight", Inertial(mass, Pose((0, 0.5, 0)), ixx=moment, iyy=moment, izz=moment))
     hinge = Joint("hinge", "continuous", "hull", "weight", axis=(1, 0, 0))
     return WorldModel(
         0.02, 4, robots=(RobotBody("robot", RobotModel("dumbbell", (hull, weight), (hinge,), root="hull")),)
@@ -540,6 +541,23 @@ def test_a_waiting_world_keeps_its_wrench_when_another_sensor_is_added():
     batch.step(1, np.array([True, False]))
     assert np.any(before)
     np.testing.assert_array_equal(np.array(read())[..., 1], before)
+
+
+def test_limits_of_driven_joints_are_as_soft_with_a_drawn_mass_as_with_the_same_written_one():
+    written, drawn = create("mujoco", dumbbell(3.0)), create("mujoco", dumbbell())
+    batch = create_batch("mujoco", dumbbell(), 2)
+    for engine in (drawn, *batch.members):
+        engine.reset()
+        engine.set_parameter("mass", ("robot", "weight"), 3.0)
+    batch.begin_episodes()
+    for kind in ("velocity_motor", "torque_motor"):
+        for engine in (written, drawn, batch):
+            getattr(engine, kind)("robot", ["hinge"], [1.0])([0.4])
+            engine.step(1)
+        for name in ("dof_invweight0", "body_invweight0"):
+            expected = getattr(written._world.model, name)
+            assert getattr(drawn._world.model, name) == pytest.approx(expected, rel=1e-9)
+            assert batch.rows[name][1] == pytest.approx(expected, rel=1e-9)
 
 
 def test_a_reading_of_a_batch_of_one_stays_as_it_was():

@@ -194,9 +194,8 @@ class MuJoCoBatch(BatchReaders):
         """Whether the shared engine has changed it."""
         self._stale: set[int] = set()
         """The worlds with new masses, until the first step computes the values that depend on them."""
-        self._updated_armatures: dict[int, Column] = {}
-        """The worlds whose mean inertia is not that of the model, and the armature that it was computed
-        with."""
+        self._updated: set[int] = set()
+        """The worlds whose mean inertia is not that of the model."""
         self.has_substep_callbacks = False
         """Whether members act in each substep."""
         self._begun: set[int] = set()
@@ -242,9 +241,9 @@ class MuJoCoBatch(BatchReaders):
             self.state[:] = before.state
             for name, rows in fields.items():
                 self.rows[name][:] = rows
-            if self._updated_armatures:
-                worlds = sorted(self._updated_armatures)
-                self._update_constants(worlds, np.array([self._updated_armatures[i] for i in worlds]))
+            if self._updated:
+                self._update_constants(sorted(self._updated))
+                self.rows["dof_invweight0"][:] = fields["dof_invweight0"]  # to which motors add
         parts = [self._batch.bind(name) for name in StateRow._fields]
         self._state_rows = [StateRow(*row) for row in zip(*parts, strict=True)]
         for name in [
@@ -274,9 +273,8 @@ class MuJoCoBatch(BatchReaders):
             self._build()
         self.take_commands()
         goes = np.ones(self.count, bool) if running is None else running
-        if stale := sorted(index for index in self._stale if goes[index]):
-            self._stale.difference_update(stale)
-            self._update_constants(stale, self.rows["dof_armature"][stale])
+        if self._stale:
+            self.update_constants(np.flatnonzero(goes))
         if len(self._touch_columns):
             self.touched[goes] = False
         if self._force_means:
@@ -345,8 +343,7 @@ class MuJoCoBatch(BatchReaders):
         self._write_back()
         if worlds := sorted(self._restoring - self._stale):
             self._batch.set_const(worlds)
-            for index in worlds:
-                del self._updated_armatures[index]
+            self._updated.difference_update(worlds)
         self._restoring.clear()
         if self.has_commands:
             self.has_commands = False
@@ -380,10 +377,11 @@ class MuJoCoBatch(BatchReaders):
         self.state[rows] = self._first_state
         for name, values in self.rows.items():
             values[rows] = self._nominal_fields[name]
-        self._armature[rows] = self.nominal.dof_armature
+        self.armature[rows] = self.nominal.dof_armature
+        self.inverse_inertia[rows] = self.nominal.dof_invweight0
         self._begun.update(rows)
         self._stale.difference_update(rows)
-        self._restoring.update(self._updated_armatures.keys() & rows)
+        self._restoring.update(self._updated.intersection(rows))
         for index in rows:
             self._memories[index] = self._first_memory
         parts: list[BatchMotor | Pushes] = [*self.motors.values(), *self._pushes]
@@ -446,7 +444,7 @@ class MuJoCoBatch(BatchReaders):
         if world.is_stale:
             if world.settle_values():
                 self._stale.add(index)
-            self._armature[index] = self.rows["dof_armature"][index] = world.armature
+            self.armature[index] = self.rows["dof_armature"][index] = world.armature
             for name in VARIED_FIELDS:
                 if name not in self.rows and (self._fields[name] != self._nominal_fields[name]).any():
                     self.rows[name] = self._batch.expand(name)
@@ -456,20 +454,27 @@ class MuJoCoBatch(BatchReaders):
         self._memories[index] = self._remembered = world.memory()
         self._forget()
 
-    def _update_constants(self, worlds: list[int], armatures: Column) -> None:
+    def update_constants(self, worlds: Column) -> None:
+        """See `BatchState.update_constants`."""
+        if stale := sorted(self._stale.intersection(worlds.tolist())):
+            self._stale.difference_update(stale)
+            self._update_constants(stale)
+
+    def _update_constants(self, worlds: list[int]) -> None:
         """Recompute the constants of the model that depend on the masses of these worlds, in ascending
         order."""
         now = self.rows["dof_armature"][worlds]
-        self.rows["dof_armature"][worlds] = armatures
+        self.rows["dof_armature"][worlds] = self.armature[worlds]
         self._batch.set_const(worlds)
-        if not self._updated_armatures:  # the first time, `set_const` expands all fields that it computes
+        if not self._updated:  # the first time, `set_const` expands all fields that it computes
             self.rows |= {
                 name: self._batch.expand(name)
                 for name in VARIED_FIELDS
                 if self._batch.expanded(name) is not None
             }
         self.rows["dof_armature"][worlds] = now
-        self._updated_armatures |= zip(worlds, armatures, strict=True)
+        self.inverse_inertia[worlds] = self.rows["dof_invweight0"][worlds]
+        self._updated.update(worlds)
 
     def pushes(self, number: int, frame: Literal["world", "link"]) -> Pushes:
         """Return the pushes with this number, which are new if no member has bound them yet."""

@@ -16,7 +16,6 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.engine import MuJoCoEngine, link_number
 from deepbots_cli.engines.mujoco.model import HIDDEN_GROUP, Body, ModelBuilder
-from deepbots_cli.engines.mujoco.motors import cells
 from deepbots_cli.engines.mujoco.state import VARIED_ARRAYS, BatchState, LinkMotions
 from deepbots_cli.engines.mujoco.surfaces import ELLIPSOID, MAX_CLEARANCE_M, level_axes
 from deepbots_cli.errors import EngineError
@@ -234,8 +233,9 @@ class BatchReaders(BatchState):
         self._memories = [self._remembered] * count
         """The memory of the shared engine besides the state, for each world: the bodies that are present,
         colors, light."""
-        self._armature = np.tile(self.nominal.dof_armature, (count, 1))
-        """The armature of each world without the part that velocity motors add."""
+        self.armature, self.inverse_inertia = (
+            np.tile(values, (count, 1)) for values in (self.nominal.dof_armature, self.nominal.dof_invweight0)
+        )
         self._sensors: dict[Sensor, int] = {}
         """The sensors of the model by number, which is also their column in `touched`."""
         self.touched = np.zeros((count, 0), bool)
@@ -282,12 +282,6 @@ class BatchReaders(BatchState):
 
         return read
 
-    def usual_armature(self, worlds: Any, dofs: Any) -> Column:
-        """Return the armature of these degrees of freedom without the part that velocity motors add, a row
-        per world of these."""
-        usual: Column = self._armature[cells(worlds, dofs)]
-        return usual
-
     def joint_torques(self, robot: str, joints: Sequence[str]) -> Callable[[], Any]:
         """See `motors.Motors.torques`."""
         numbers = list(self.single.joint_numbers(robot, joints))
@@ -297,7 +291,7 @@ class BatchReaders(BatchState):
 
         def read() -> Any:
             armature = self._column("dof_armature", lambda: self.rows["dof_armature"])[dofs]
-            added = armature - self.usual_armature(slice(None), dofs).T
+            added = armature - self.armature[:, dofs].T
             torques = self._state_columns("qfrc_actuator")[dofs] - added * self._state_columns("qacc")[dofs]
             ranges = self.rows["jnt_actfrcrange"][:, numbers]
             return np.minimum(np.maximum(torques, ranges[..., 0].T), ranges[..., 1].T)

@@ -43,7 +43,6 @@ class Motors:
         self.gain_updates: dict[Motor, Callable[[], object]] = {}
         """The functions to call before each engine step, for motors whose limits keep them from their
         targets."""
-        self.nominal_inverse_inertia = world.model.dof_invweight0.copy()
         self.actuators = {
             joint: actuator for actuator, joint in enumerate(world.model.actuator_trnid[:, 0].tolist())
         }
@@ -166,11 +165,13 @@ class Motor:
     def _activate(self, *, soft: bool) -> None:
         """Drive the joints; `soft` limits are limits of the joint, beyond which the damping still acts on the
         inertia."""
-        model = self._world.model
+        world, model = self._world, self._world.model
+        if world.is_stale:
+            world.update_constants()  # with the armature of the joints, before motors add to it
         ranges = [(-limit, limit) for limit in self._limits]
         model.actuator_biasprm[self._actuators] = 0.0
-        model.dof_armature[self._dof_index] = self._world.armature[self._dof_index]
-        model.dof_invweight0[self._dof_index] = self._motors.nominal_inverse_inertia[self._dof_index]
+        model.dof_armature[self._dof_index] = world.armature[self._dof_index]
+        model.dof_invweight0[self._dof_index] = world.inverse_inertia[self._dof_index]
         model.actuator_forcelimited[self._actuators] = not soft
         model.actuator_forcerange[self._actuators] = ranges
         model.jnt_actfrclimited[self._joint_index] = soft
@@ -247,9 +248,9 @@ class Motor:
         velocity = array_reader(data.qvel, self._dof_index)
         position = array_reader(data.qpos, self._position_index)
         usual: list[float] = []
+        moved: list[float] = []
         lows, highs = (ends.tolist() for ends in servo_range(model, self._joint_index))
         inertias = model.dof_M0[self._dof_index].tolist()
-        moved = [1.0 / inverse for inverse in self._motors.nominal_inverse_inertia[self._dof_index].tolist()]
         stiff = [MAX_GAIN * inertia / step for inertia in inertias]
         bounds = [
             (most, limit, limit / most, 4.0 * inertia * rate if rate else inertia / step)
@@ -265,7 +266,7 @@ class Motor:
         actuators = self._numbers
         dofs = model.jnt_dofadr[list(self.joints)].tolist()
         addresses = [width * actuator for actuator in actuators]
-        by_joint = list(zip(addresses, dofs, moved, strict=True))
+        by_joint = list(zip(addresses, dofs, strict=True))
 
         def aim(targets: Sequence[float]) -> bool:
             """Renew gains; return whether a gain must be renewed in each engine step."""
@@ -279,10 +280,11 @@ class Motor:
             if gains == self.gains and targets == self.targets:
                 return waits
             if gains != self.gains:
-                if not self.gains:  # the motor begins, perhaps in an episode with another armature
+                if not self.gains:  # the motor begins, perhaps in an episode with other masses
                     usual[:] = self._world.armature[self._dof_index].tolist()
+                    moved[:] = (1.0 / self._world.inverse_inertia[self._dof_index]).tolist()
                 self.gains = gains
-                for gain, base, (address, dof, inertia) in zip(gains, usual, by_joint, strict=True):
+                for gain, base, inertia, (address, dof) in zip(gains, usual, moved, by_joint, strict=True):
                     added = gain * step
                     bias[address + 2] = -gain
                     armature[dof] = base + added
@@ -529,6 +531,7 @@ class BatchMotor:
 
     def _activate(self, worlds: Column) -> None:
         """Drive the joints in these worlds; see `motors.Motor`."""
+        self._batch.update_constants(worlds)
         rows = self._batch.rows
         limits = self._limits[worlds]
         joints = cells(worlds, self._joint_index)
@@ -538,8 +541,8 @@ class BatchMotor:
         if self._is_spring:
             bias[..., 1][actuators] = -self._stiffness[worlds]
             bias[..., 2][actuators] = -self._damping[worlds]
-        rows["dof_armature"][dofs] = self._batch.usual_armature(worlds, self._dofs)
-        rows["dof_invweight0"][dofs] = self._model.dof_invweight0[self._dofs]
+        rows["dof_armature"][dofs] = self._batch.armature[dofs]
+        rows["dof_invweight0"][dofs] = self._batch.inverse_inertia[dofs]
         rows["actuator_forcelimited"][actuators] = not self.is_soft
         rows["jnt_actfrclimited"][joints] = self.is_soft
         rows["actuator_forcerange"][actuators] = rows["jnt_actfrcrange"][joints] = np.stack(
@@ -603,7 +606,6 @@ class TrackingMotor(BatchMotor):
         self._lows, self._highs = servo_range(model, self._joint_index)
         self._position_columns = array_index(model.jnt_qposadr[list(joints)].tolist())
         inertias = model.dof_M0[self._dofs]
-        self._moved = 1.0 / model.dof_invweight0[self._dofs]
         self._stiffest = MAX_GAIN * inertias / self._step
         self._least = 4.0 * inertias * rate if rate else inertias / self._step
         self._gains = np.full(self._targets.shape, np.nan)  # unequal to any gain, so the first are written
@@ -660,7 +662,6 @@ class TrackingMotor(BatchMotor):
         bias[..., 2][actuators] = -gains
         if self._rate:
             bias[..., 1][actuators] = -gains * self._rate
-        usual = batch.usual_armature(worlds, self._dofs)
-        batch.rows["dof_armature"][dofs] = usual + added
-        batch.rows["dof_invweight0"][dofs] = 1.0 / (self._moved + added)
+        batch.rows["dof_armature"][dofs] = batch.armature[dofs] + added
+        batch.rows["dof_invweight0"][dofs] = 1.0 / (1.0 / batch.inverse_inertia[dofs] + added)
         return aimed

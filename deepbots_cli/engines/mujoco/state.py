@@ -82,6 +82,9 @@ class BatchState(ABC):
     qpos: FloatArray
     qvel: FloatArray
     rows: dict[str, NDArray[Any]]
+    armature: FloatArray
+    inverse_inertia: FloatArray
+    """`dof_armature` and `dof_invweight0` of each world without the part that velocity motors add."""
     write_mask: NDArray[Any] | None = None
     """The worlds that motors are written in, as truth values; None for all."""
     has_commands = False
@@ -92,8 +95,8 @@ class BatchState(ABC):
         """Copy the changes of members to the worlds, and their commands to the motors."""
 
     @abstractmethod
-    def usual_armature(self, worlds: Any, dofs: Any) -> NDArray[Any]:
-        """Return the armature of these worlds without the part that velocity motors add."""
+    def update_constants(self, worlds: NDArray[Any]) -> None:
+        """Compute the values that depend on masses, in those of these worlds that have new ones."""
 
 
 class StateRow(NamedTuple):
@@ -189,6 +192,8 @@ class MujocoWorld:
         self._inertia_factors = np.ones((model.nbody, 2))
         self.armature = model.dof_armature.copy()
         """The armature of the present episode, to which velocity motors add."""
+        self.inverse_inertia = model.dof_invweight0.copy()
+        """`dof_invweight0` of the present episode, with that armature."""
         self.surfaces = np.zeros((model.ngeom, 4))
         for body in (body for pool in pools for body in pool):
             self._set_surfaces(body)
@@ -208,6 +213,7 @@ class MujocoWorld:
             *(getattr(model, name) for name in VARIED_ARRAYS),
             self._inertia_factors,
             self.armature,
+            self.inverse_inertia,
         ]
         self._nominal = [np.array(values) for values in self._varied_arrays]
         self.update_constants()
@@ -281,6 +287,7 @@ class MujocoWorld:
         if self.settle_values():
             # `mj_setConst` computes at the reference position, and leaves its data there.
             mj.mj_setConst(self.model, self.scratch_data)
+            self.inverse_inertia[:] = self.model.dof_invweight0
 
     def settle_values(self) -> bool:
         """Compute the values that depend on all values that were set except masses; return whether masses
