@@ -154,7 +154,7 @@ def command(
         choices = Choices(kind, task, xacro_arguments(xacro))
         place = f" --project {shell_word(project)}" if project is not None else _folder_argument(folder)
         base = f"deepbots new {name} --urdf {shell_word(urdf)}{_choice_options(choices)}{place}"
-        base += f"{' --schema' if schema else ''}{' --force' if force else ''}{_options(permissions.folders)}"
+        base += f"{' --schema' if schema else ''}{' --force' if force else ''}{_options(permissions)}"
         contents, first = _from_robot(urdf, name, folder, permissions, choices, base, copy=copy)
         _note_kind(urdf, first)
     elif webots is not None:
@@ -171,7 +171,7 @@ def command(
     if copy:
         permissions = Permissions(code=permissions.code)
     if urdf or starter is not None:
-        terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
+        terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]), permissions)
     if starter is not None:
         _note_places(starter)
     has_schema = bool(schema or project)
@@ -265,10 +265,9 @@ def validated_name(name: str) -> str:
     return bare
 
 
-def _options(folders: Iterable[str | Path]) -> str:
-    """Return the options that allow these folders, with a blank before each."""
-    paths = (folders,) if isinstance(folders, (str, Path)) else folders
-    return "".join(f" --allow-path {shell_word(folder)}" for folder in paths)
+def _options(permissions: Permissions) -> str:
+    """Return the options for these permissions, with a blank before each."""
+    return "".join(f" {option}" for option in terminal.scenario_options(permissions))
 
 
 def _from_robot(
@@ -288,8 +287,8 @@ def _from_robot(
     except RobotError as error:
         if not error.allow:
             raise
-        terminal.show_findings(error.findings)
-        base += _options(error.allow)
+        terminal.show_findings(error.findings, permissions)
+        base += _options(Permissions(error.allow))
         terminal.note(
             f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
             f"to leave them where they are, and allow the folder in each command:\n  {base}"
@@ -343,7 +342,7 @@ def from_robot(
         first = starters.scenario(file.model, reference, scenario_title(name), choices)
     except UsageError:
         if units := [finding for finding in findings if finding.code in UNIT_CODES]:
-            terminal.show_findings(units)  # a mesh in millimeters hides what the robot is
+            terminal.show_findings(units, permissions)  # a mesh in millimeters hides what the robot is
         raise
     return {PurePosixPath(f"{name}.yaml"): first.text.encode(), **copies}, first
 
@@ -520,7 +519,7 @@ def _show(
     scenario, schema = shell_word(paths[0]), shell_word(paths[0].with_suffix(".schema.json"))
     lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
-        f"deepbots {command} {scenario}{_options(permissions.folders)}"
+        f"deepbots {command} {scenario}{_options(permissions)}"
         + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]
