@@ -486,8 +486,9 @@ def _suppressions(
             )
         for code in codes:
             others = [other[0] for other in codes if other is not code]
+            rules = matching_rules(code[0])
             yield _Suppression(
-                code[0],
+                rules[0].code if len(rules) == 1 else code[0],
                 Span(source, *code.span()),
                 line + 1 if alone else line,
                 _removal(source, comment, others),
@@ -518,11 +519,9 @@ def _unused(entry: _Suppression) -> Finding:
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
-    headline = f"this comment suppresses nothing: there is no {entry.code} here"
-    help = entry.help
+    headline, help = f"this comment suppresses nothing: there is no {entry.code} here", entry.help
     if rule.severity == "error":
-        headline = f"{entry.code} is an error, which cannot be suppressed"
-        help = "correct the error"
+        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 

@@ -489,6 +489,8 @@ NO_CODE = "the comment does not name the code to suppress"
         # A comment on the line, or on the one above.
         ("a: on  # deepbots: ignore[DB003]\n", 0, {}, {}),
         ("# deepbots: ignore[DB003]\na: on\n", 0, {}, {}),
+        ("a: on # deepbots: ignore[db003]\n", 0, {}, {}),
+        ("a: on # deepbots: ignore[yaml11-boolean]\n", 0, {}, {}),
         ("x:\n  # deepbots: ignore[DB003] as the firmware wants it\n  a: on\n", 0, {}, {}),
         ("a: [on, on] # the firmware's word  # deepbots: ignore[DB003]\n", 0, {}, {}),
         ("<!-- deepbots: ignore[DB003] -->\n<a on/>\n", 0, {}, {}),
