@@ -54,7 +54,7 @@ _ODD_NUMBERS: tuple[tuple[str, str, Callable[[str], str | None]], ...] = (
     (
         r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*",
         "is read as text, because its digits are not grouped in threes",
-        lambda text: text.replace("_", ""),
+        lambda text: re.sub(r"(?<![0-9.])0+(?=[0-9])", "", text.replace("_", "")),
     ),
 )
 """What is taken for a number elsewhere: how it is written, how it is read, and the number that is meant, if there
