@@ -457,6 +457,8 @@ PLACES = {
     "a file alone": ("package://m.obj", "arm/m.obj", {}),
     "a name of Gazebo": ("model://arm/m.obj", "arm/m.obj", {}),
     "a name with blanks": ("package://my arm/a mesh.obj", "my arm/a mesh.obj", {}),
+    "an encoded NUL": ("package://arm/a%00.obj", "arm/a\ufffd.obj", {}),
+    "an encoded blank": ("package://my%20arm/a%20mesh.obj", "my arm/a mesh.obj", {}),
     "another package name": ("package://gone/meshes/m.obj", "arm/meshes/m.obj", {}),
     "a folder of the author": ("/home/x/ws/src/arm/meshes/m.obj", "arm/meshes/m.obj", {}),
     "a folder of an author with Windows": (r"C:\ws\arm\meshes\m.obj", "arm/meshes/m.obj", {}),

@@ -36,7 +36,6 @@ from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.kinds import Kind
-from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
 from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
@@ -355,7 +354,9 @@ def _copies(file: RobotFile, path: Path) -> Files:
         path = path.with_name(f"{path.name.partition('.')[0]}.urdf")
     meshes = {Path(mesh): Path(mesh) for mesh in file.meshes}
     # A `.gltf` file is copied with its buffers, as `.glb`.
-    meshes |= {mesh: mesh.with_suffix(".glb") for mesh in meshes if mesh.suffix.lower() in GLTF_SUFFIXES}
+    for mesh in [mesh for mesh in meshes if mesh.suffix.lower() == ".gltf"]:
+        names = (mesh.with_name(f"{mesh.stem}{number}.glb") for number in ("", *range(2, len(meshes) + 2)))
+        meshes[mesh] = next(name for name in names if name not in meshes.values())
     top = Path(os.path.commonpath([path.parent, *(mesh.parent for mesh in meshes)]))
     home = PurePosixPath(path.stem)
     text = file.with_mesh_names(
