@@ -532,8 +532,7 @@ def test_a_copied_gltf_file_replaces_no_other_mesh(deepbots, tmp_path):
         text = re.sub(r"(?s)<visual>(.*?)<(?:box|cylinder|sphere) [^>]*>", drawn, text, count=1)
     (tmp_path / "own.urdf").write_text(text.replace("VISUAL", "visual"), encoding="utf-8")
     deepbots("new", "own", "copied", "--urdf", "own.urdf", "--copy")
-    copies = [path.read_bytes() for path in (tmp_path / "copied").rglob("*.glb")]
-    assert len({*copies}) == 2
+    assert len({path.read_bytes() for path in (tmp_path / "copied").rglob("*.glb")}) == 2
 
 
 @pytest.mark.parametrize(

@@ -159,7 +159,6 @@ def test_a_command_that_shows_findings_again_reads_the_same_scenario(
 ) -> None:
     deepbots("new", "cart", "project", "--from", "cartpole", "--json")
     (tmp_path / "project" / "robots").rename(tmp_path / "my robots")
-    (tmp_path / "project" / "deepbots.toml").touch()
     path = tmp_path / "project" / "cart.yaml"
     text = path.read_text(encoding="utf-8").replace("robots/urdf", "../my robots/urdf")
     path.write_text(text, encoding="utf-8")
