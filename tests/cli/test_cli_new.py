@@ -301,7 +301,8 @@ def test_the_command_for_a_robot_outside_the_project_has_the_options_that_were_g
     (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     words = ["new", "own", "--urdf", "rover.urdf", "--kind", "differential", "--project", "mine", "--force"]
     assert f"`deepbots {' '.join(words)} --copy`" in deepbots(*words, code=2).err
-    deepbots(*words, "--copy")
+    assert "workflow will fail" in deepbots(*words, "--allow-path", ".").err
+    assert "workflow will fail" not in deepbots(*words, "--copy").err
 
 
 def test_no_file_is_left_where_one_cannot_be_written(tmp_path):

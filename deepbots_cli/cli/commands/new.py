@@ -169,6 +169,8 @@ def command(
     paths = write(contents, folder, force=force)
     if copy:
         permissions = Permissions(code=permissions.code)
+    elif project is not None and permissions.folders and "DB204" in {f.code for f in api.lint(paths[0])}:
+        terminal.note("the GitHub workflow will fail, because it reads the project alone; add --copy")
     if urdf or starter is not None:
         terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]), permissions)
     if starter is not None:
