@@ -17,10 +17,10 @@ from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.findings import suppress as without_suppressed
 from deepbots_cli.diagnostics.nearest import did_you_mean, nearest_word
 from deepbots_cli.document import Permissions, files, shipped
+from deepbots_cli.document.layout import quoted
 from deepbots_cli.document.load import NO_DRAFTS, Drafts
 from deepbots_cli.engine_kinds import with_engine
 from deepbots_cli.errors import ScenarioError, UsageError
-from deepbots_cli.lint import STATIC_RULES
 from deepbots_cli.lint.settings import Settings, scenarios_in
 from deepbots_cli.processes import available_cores
 from deepbots_cli.records import dataclass
@@ -152,21 +152,17 @@ def robot_findings(
     drafts: Drafts = NO_DRAFTS,
 ) -> list[Finding]:
     """Return the findings of a robot file alone, or of its draft, that no comment suppresses. Those of a file
-    that it includes have no fix: linting that file fixes it. A comment without use is left to the author.
+    that it includes have no fix: linting that file fixes it. A comment may serve a scenario with the robot.
 
     Raises:
         UsageError: There is no such file.
     """
     name = files.display_path(robot_path(reference, allowed).resolve())
     file, findings, _ = _read_robot(reference, allowed, arguments, drafts)
-    remaining, unused = without_suppressed(findings, file.sources if file else ())
-    # The rules for scenarios, such as DB317, did not run.
-    rules = {rule.code for rule in STATIC_RULES}
-    remaining = [
+    remaining, _ = without_suppressed(findings, file.sources if file else (), quoted)
+    return [
         finding if finding.span.source.name == name else replace(finding, fix=None) for finding in remaining
     ]
-    remaining += [replace(finding, fix=None) for finding in unused if finding.span.text not in rules]
-    return sorted(remaining, key=lambda finding: finding.sort_key)
 
 
 def robot_path(reference: str, allowed: Sequence[str | Path] = ()) -> Path:

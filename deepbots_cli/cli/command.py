@@ -28,8 +28,9 @@ from deepbots_cli.cli.commands import (
     TAKES,
     function_name,
 )
+from deepbots_cli.cli.exits import FAILED
 from deepbots_cli.diagnostics.nearest import nearest_word
-from deepbots_cli.errors import MissingExtraError, UsageError
+from deepbots_cli.errors import MissingExtraError, ScenarioError, UsageError
 from deepbots_cli.plugins import entry_points_of
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import sentence_list
@@ -714,7 +715,12 @@ def _with_permission_options(command: Callable[..., None]) -> Callable[..., None
 
     @wraps(command)
     def call(*, allow_paths: AllowPaths, allow_code: AllowCode, **values: Any) -> None:
-        command(**values, permissions=Permissions(allow_paths or (), allow_code))
+        permissions = Permissions(allow_paths or (), allow_code)
+        try:
+            command(**values, permissions=permissions)
+        except ScenarioError as error:
+            terminal.show_findings(error.findings, permissions)
+            raise typer.Exit(FAILED) from None
 
     options = {"allow_paths": (AllowPaths, None), "allow_code": (AllowCode, False)}
     return _declared(call, command, options, instead_of="permissions")

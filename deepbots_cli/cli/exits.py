@@ -63,7 +63,9 @@ def _exit_code(run: Callable[[], object]) -> int:
             return FAILED
         return 0
     except ScenarioError as error:
-        terminal.show_findings(error.findings)
+        from deepbots_cli.document import Permissions
+
+        terminal.show_findings(error.findings, Permissions())
         return FAILED
     except DeepbotsError as error:
         terminal.print_error(error.full_message)

@@ -99,19 +99,37 @@ def progress(unit: str = "episodes", *, always: bool = True) -> Iterator[Callabl
             bar.close()
 
 
-def show_findings(findings: Sequence[Finding]) -> None:
+def scenario_options(permissions: Permissions, overrides: Iterable[str] = ()) -> list[str]:
+    """Return the options with which another command reads the same scenario."""
+    options = [f"--set {shell_word(text)}" for text in overrides]
+    options += [f"--allow-path {shell_word(folder)}" for folder in permissions.folders]
+    return [*options, *["--allow-code"] * permissions.code]
+
+
+def _lint_command(names: Iterable[str], *options: str) -> str:
+    return " ".join(["deepbots lint", *map(shell_word, names), *options])
+
+
+def show_findings(findings: Sequence[Finding], permissions: Permissions) -> None:
     """Print findings in full on stderr, with their number, and the command that fixes some of them."""
     print(render(findings, "full", uses_color(sys.stderr), width()), end="", file=sys.stderr)
     note(summary(findings))
-    fixable = [finding.span.source for finding in findings if finding.fix and finding.fix.safe]
-    if files := dict.fromkeys(source.name for source in fixable if Path(source.name).is_file()):
-        note(f"{len(fixable)} can be fixed by: deepbots lint {' '.join(map(shell_word, files))} --fix")
+    fixes = [finding.fix for finding in findings if finding.fix is not None and finding.fix.safe]
+    named = [[edit.span.source.name for edit in fix.edits] for fix in fixes]
+    # A fix of a `--set` is left to the user.
+    in_files = [names for names in named if all(Path(name).is_file() for name in names)]
+    if files := dict.fromkeys(name for names in in_files for name in names):
+        command = _lint_command(files, *scenario_options(permissions), "--fix")
+        note(f"{len(in_files)} can be fixed by: {command}")
 
 
-def note_warnings(warnings: Sequence[Finding], scenario: str) -> None:
+def note_warnings(
+    warnings: Sequence[Finding], scenario: str, permissions: Permissions, overrides: Iterable[str] = ()
+) -> None:
     """Print a note that there are warnings, and how to see them."""
     if warnings:
-        note(f"{summary(warnings)}; see: deepbots lint {shell_word(scenario)}")
+        command = _lint_command([scenario], *scenario_options(permissions, overrides))
+        note(f"{summary(warnings)}; see: {command}")
 
 
 def note_physics(run: Run) -> None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import os
 import re
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import islice
 from typing import NamedTuple
@@ -295,11 +295,11 @@ class Findings:
 _UNREADABLE = ("DB0", "DB1")
 """An error in the text or its shape hides most other findings, so no selection may hide it."""
 
-# `<!--` begins a comment in a robot file.
 FILL_IN = "# FILL IN"
 """How a comment about a place begins that a command leaves to the author of a scenario."""
+# `<!--` begins a comment in a robot file.
 _COMMENT = re.compile(
-    r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore(?:\[([^\]\r\n]*)\])?", re.MULTILINE
+    r"(?:(?<=\s)|^)(?:#|<!--)[ \t]*deepbots:[ \t]*ignore\b(?:\[([^\]\r\n]*)\])?", re.MULTILINE
 )
 # Possessive: a line of 1 MiB may hold thousands of comments.
 _BLANK_TO_LINE_END = r"[^\S\n]*+(?=\n|\Z)"
@@ -397,8 +397,7 @@ def _codes(selectors: RuleSelectors) -> Mapping[str, int]:
         if not word.strip() or not entries:
             raise UsageError(f"{selectors.source.name}: {unknown_rule_message(word)}")
         for entry in entries:
-            length = min(len(word.strip()), len(entry.code))
-            fitting[entry.code] = max(length, fitting.get(entry.code, 0))
+            fitting[entry.code] = max(min(len(word.strip()), len(entry.code)), fitting.get(entry.code, 0))
     return fitting
 
 
@@ -416,13 +415,14 @@ class _Suppression:
 def suppress(
     findings: Iterable[Finding],
     sources: Iterable[Source],
+    quoted: Callable[[Source], Sequence[int]],
     *,
     preview: bool = False,
     deep: bool = False,
     exploits: bool = False,
 ) -> tuple[list[Finding], list[Finding]]:
     """Return the findings that no comment suppresses, and a DB901 for each comment in `sources` that
-    suppresses nothing.
+    suppresses nothing. `quoted` returns the offsets at which quoted values begin and end, in turn.
 
     A comment on a rule that did not run, in preview, for want of a simulation or because of errors, is not
     reported.
@@ -430,7 +430,7 @@ def suppress(
     suppressions: dict[tuple[Source, int, str], _Suppression] = {}
     unused: list[Finding] = []
     for source in sources:
-        for entry in islice(_suppressions(source), _MAX_CODES):
+        for entry in islice(_suppressions(source, quoted), _MAX_CODES):
             if isinstance(entry, Finding):
                 unused.append(entry)
             elif suppressions.setdefault((source, entry.line, entry.code), entry) is not entry:
@@ -455,11 +455,16 @@ def suppress(
     return remaining, sorted(unused, key=lambda finding: finding.sort_key)
 
 
-def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
-    if "deepbots:" not in source.text:  # a hundred times faster than the search for comments
-        return
+def _suppressions(
+    source: Source, quoted: Callable[[Source], Sequence[int]]
+) -> Iterator[_Suppression | Finding]:
+    # The test is a hundred times faster than the search for comments.
+    comments = [*_COMMENT.finditer(source.text)] if "deepbots:" in source.text else []
+    ends = quoted(source) if comments else ()
     before = 0
-    for comment in _COMMENT.finditer(source.text):
+    for comment in comments:
+        if comment[0][0] == "#" and bisect_right(ends, comment.start()) % 2:
+            continue
         line, column = source.position(comment.start())
         alone = (
             line != before
@@ -473,17 +478,17 @@ def _suppressions(source: Source) -> Iterator[_Suppression | Finding]:
             else []
         )
         if not codes:
-            span = Span(source, *comment.span())
             yield Finding(
                 "DB901",
-                span,
+                Span(source, *comment.span()),
                 "the comment does not name the code to suppress",
                 help="write the code: # deepbots: ignore[DB603]",
             )
         for code in codes:
             others = [other[0] for other in codes if other is not code]
+            rules = matching_rules(code[0])
             yield _Suppression(
-                code[0],
+                rules[0].code if len(rules) == 1 else code[0],
                 Span(source, *code.span()),
                 line + 1 if alone else line,
                 _removal(source, comment, others),
@@ -514,11 +519,9 @@ def _unused(entry: _Suppression) -> Finding:
         help = f"did you mean {near}?" if near else "a code has the form DB603"
         guess = Fix((Edit(entry.span, near),), safe=False) if near else None
         return Finding("DB901", entry.span, f"there is no rule `{entry.code}`", help=help, fix=guess)
-    headline = f"this comment suppresses nothing: there is no {entry.code} here"
-    help = entry.help
+    headline, help = f"this comment suppresses nothing: there is no {entry.code} here", entry.help
     if rule.severity == "error":
-        headline = f"{entry.code} is an error, which cannot be suppressed"
-        help = "correct the error"
+        headline, help = f"{entry.code} is an error, which cannot be suppressed", "correct the error"
     return Finding("DB901", entry.span, headline, help=help, fix=Fix((entry.removal,), safe=True))
 
 

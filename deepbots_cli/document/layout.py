@@ -80,6 +80,20 @@ def _comments(text: str) -> list[str]:
     return [comment.rstrip() for gap, _, _ in _gaps(text) for comment in re.findall(_COMMENT, gap)]
 
 
+def quoted(source: Source) -> list[int]:
+    """Return the offsets at which the quoted values of a file begin and end, in turn; none if YAML cannot
+    read the file."""
+    try:
+        return [
+            offset
+            for token in _tokens(source.text)
+            if token.kind == "<scalar>" and source.text[token.start] in "\"'"
+            for offset in (token.start, token.end)
+        ]
+    except yaml.YAMLError:
+        return []
+
+
 def _visible(text: str) -> Iterator[Token]:
     """Yield the tokens that have text, without the empty lines at their ends. Blanks at the end of the last
     line are a part of a text."""
@@ -297,7 +311,6 @@ def plain_or_quoted(text: str) -> str:
 
 _REST_OF_LINE = r"[ \t]*(?:,?[ \t]+#[^\n]*|\r?)(?:\n|$)"
 _SPECIAL_IN_BRACKETS = r"[,{}\[\]#\n]|: "
-_END_OF_LINE = r"\r?\n|\Z"
 _ANCHOR, _ALIAS = (rf"{sign}([^\s,\[\]{{}}]+)" for sign in ("&", r"\*"))
 
 
@@ -493,10 +506,9 @@ def _with_comment(before: str, behind: str, comment: str) -> str:
     same first word."""
     if not comment:
         return before + behind
-    line_end = re.search(_END_OF_LINE, behind)
-    assert line_end is not None  # it also matches the end of the text
-    line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", behind[: line_end.start()])
-    return f"{before}{line}  # {comment}{behind[line_end.start() :]}"
+    rest_of_line = re.split(r"\r?\n", behind, maxsplit=1)[0]
+    line = re.sub(rf"\s+# {re.escape(comment.split()[0])} [^\n]*", "", rest_of_line)
+    return f"{before}{line}  # {comment}{behind[len(rest_of_line) :]}"
 
 
 def _addition(
@@ -522,6 +534,5 @@ def _addition(
     column = min(source.position(neighbor.key.span.start).column for neighbor in neighbors) - 1
     rest_of_line = re.compile(_REST_OF_LINE).match(source.text, max(ends))
     at = rest_of_line.end() if rest_of_line else source.text.find("\n", max(ends)) + 1 or len(source.text)
-    newline = _newline(source)
-    before = "" if source.text[at - 1 : at] == "\n" else newline
-    return at, before + newline.join(" " * column + line for line in entry.split("\n")) + newline
+    lines = [" " * column + line for line in entry.split("\n")]
+    return at, _newline(source).join([*[""] * (source.text[at - 1 : at] != "\n"), *lines, ""])

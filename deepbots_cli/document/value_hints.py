@@ -14,7 +14,6 @@ GIVE_A_VALUE = "write a value, or remove the key"
 """The help for an empty key, until a later pass replaces it by the values that the key takes."""
 
 _QUOTABLE = r"""[^"\\#\n]*"""
-_COMMENT = r"(?<=[\s,])#[^\n]*"
 _DRAW = r"(uniform|normal|choice|integer)\(\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)"
 _WHERE = r"where\(\s*([^,]{1,80}?)\s*,\s*([^(),]{1,40}?)\s*,\s*([^(),]{1,40}?)\s*\)"
 _DRAW_SIGNS = {"uniform": "..", "integer": "..", "normal": "+-", "choice": "|"}
@@ -55,7 +54,7 @@ _ODD_NUMBERS: tuple[tuple[str, str, Callable[[str], str | None]], ...] = (
     (
         r"[-+]?[0-9][0-9_]*_[0-9_]*(?:\.[0-9_]*)?|[-+]?[0-9]+\.[0-9]*_[0-9_]*",
         "is read as text, because its digits are not grouped in threes",
-        lambda text: text.replace("_", ""),
+        lambda text: re.sub(r"(?<![0-9.])0+(?=[0-9])", "", text.replace("_", "")),
     ),
 )
 """What is taken for a number elsewhere: how it is written, how it is read, and the number that is meant, if there
@@ -85,14 +84,16 @@ def report_values_cut_by_commas(scalars: Iterable[ScalarNode], findings: Finding
                 cut.append(Span(scalar.span.source, start, scalar.span.end))
                 start = -1
     for span in cut:
-        text = " ".join(re.sub(_COMMENT, "", span.text).split())
+        text = " ".join(re.sub(r"(?<=[\s,])#[^\n]*", "", span.text).split())
         quoted = f': "{text}"' if len(text) <= MAX_SHOWN and '"' not in text else ""
         help = f"put the value in quotes{quoted}, or on a line of its own"
         fix = Fix((Edit(span, f'"{text}"'),), safe=True) if re.fullmatch(_QUOTABLE, span.text) else None
         if draw := re.fullmatch(_DRAW, text):
             better = f"{draw[1]}({draw[2]} {_DRAW_SIGNS[draw[1]]} {draw[3]})"
-            help = f"write the draw without a comma: `{better}`"
-            fix = Fix((Edit(span, better),), safe=True) if "#" not in span.text else None  # keep comments
+            help, fix = (
+                f"write the draw without a comma: `{better}`",
+                Fix((Edit(span, better),), safe=True) if "#" not in span.text else None,  # keep comments
+            )
         elif call := re.fullmatch(_WHERE, text):
             help, fix = f"write `{call[2]} if {call[1]} else {call[3]}`", None
         findings.add("DB001", span, "a comma inside brackets cuts this value in two", help, fix=fix)

@@ -21,6 +21,7 @@ from deepbots_cli.diagnostics import (
     exceptions_as_findings,
 )
 from deepbots_cli.diagnostics.findings import internal_error_finding, suppress
+from deepbots_cli.document.layout import quoted
 from deepbots_cli.expressions.types import referenced_names
 from deepbots_cli.lint import (
     endings,
@@ -52,7 +53,9 @@ class CascadeFilter:
     def __init__(self, checked: CheckedScenario) -> None:
         doubtful = [finding for finding in checked.findings if finding.code in _DOUBTFUL]
         spans = (
-            [finding.span for finding in suppress(doubtful, checked.document.sources)[0]] if doubtful else []
+            [finding.span for finding in suppress(doubtful, checked.document.sources, quoted)[0]]
+            if doubtful
+            else []
         )
         self._texts = _Texts(_depending_on(checked, spans) if spans else ())
 
@@ -289,7 +292,7 @@ def all_findings(
     findings += [finding for finding in measured or () if (finding.code, finding.span) not in reported]
     findings += exploits or ()
     remaining, unused = suppress(
-        findings, sources, preview=preview, deep=measured is not None, exploits=exploits is not None
+        findings, sources, quoted, preview=preview, deep=measured is not None, exploits=exploits is not None
     )
     # By name, because each of several agents reads the robot files.
     packaged = {

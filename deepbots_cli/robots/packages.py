@@ -23,6 +23,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice, product
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from urllib.parse import unquote
 
 from deepbots_cli.files import is_file, read_at_most
 from deepbots_cli.records import dataclass
@@ -99,7 +100,8 @@ class Places:
         Raises:
             OSError: A name is too long, or a folder cannot be read.
         """
-        scheme, colon, path = reference.partition("://")
+        scheme, colon, written = reference.partition("://")
+        path = unquote(written).replace("\0", "\ufffd")  # no name of a file has a NUL
         if colon and scheme in ("package", "model"):
             return self._in_package(reference, path)
         if colon and scheme != "file":

@@ -25,7 +25,7 @@ from deepbots_cli.words import counted
 
 MAX_MAGNITUDE = 1e30
 """The magnitude beyond which a number has no physical meaning, and arithmetic on it overflows."""
-NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
+NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:_[0-9]{3})*(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 PERCENT_PATTERN = rf"\s*({NUMBER_PATTERN}\s*%)\s*"
 GROUPED_DIGITS = r"[-+]?[0-9]{1,3}(_[0-9]{3})+"
 """Digits in groups of three: a number in a scenario, but a text in editors, which read YAML 1.2."""

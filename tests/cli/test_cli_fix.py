@@ -158,6 +158,12 @@ FIXED = {
         [(SUMMARY, 'summary: "10_00"')],
         0,
     ),
+    "a number with a zero before it, beside an error": (
+        [("n_steps: 64", "n_steps: 0_64"), ("15 deg", "15 kg")],
+        "",
+        [("15 deg", "15 kg")],
+        1,
+    ),
     "a suppression of nothing": ([IGNORED], "--fail-on warning", [], 0),
     "a suppression of nothing on its line": (
         [("  alive: 1\n", "  alive: 1\n  # deepbots: ignore[DB603, DB703]\n")],

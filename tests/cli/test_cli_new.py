@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 from deepbots_cli import api, frames
@@ -318,7 +319,8 @@ def test_the_command_for_a_robot_outside_the_project_has_the_options_that_were_g
     (tmp_path / "rover.urdf").write_bytes(shipped.robot_path("rover").read_bytes())
     words = ["new", "own", "--urdf", "rover.urdf", "--kind", "differential", "--project", "mine", "--force"]
     assert f"`deepbots {' '.join(words)} --copy`" in deepbots(*words, code=2).err
-    deepbots(*words, "--copy")
+    assert "workflow will fail" in deepbots(*words, "--allow-path", ".").err
+    assert "workflow will fail" not in deepbots(*words, "--copy").err
 
 
 def test_no_file_is_left_where_one_cannot_be_written(tmp_path):
@@ -534,6 +536,22 @@ def test_a_package_of_ros_has_its_meshes_beside_the_folder_of_its_robot_file(dee
     monkeypatch.chdir(tmp_path / "my_arm" / "urdf")
     assert f"add `--allow-path {tmp_path / 'my_arm'}`" in deepbots("inspect", "arm.urdf", code=1).err
     deepbots("inspect", "arm.urdf", "--allow-path", "..")
+
+
+def test_a_copied_gltf_file_replaces_no_other_mesh(deepbots, tmp_path):
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    (tmp_path / "m.glb").write_bytes(trimesh.Scene(box).export(file_type="glb"))
+    for name, content in (
+        trimesh.Scene(trimesh.creation.box((0.2, 0.1, 0.1))).export(file_type="gltf").items()
+    ):
+        (tmp_path / name.replace("model.gltf", "m.gltf")).write_bytes(content)
+    text = shipped.robot_path("rover").read_text(encoding="utf-8")
+    for name in ("m.glb", "m.gltf"):
+        drawn = rf'<VISUAL>\1<mesh filename="{name}"/>'
+        text = re.sub(r"(?s)<visual>(.*?)<(?:box|cylinder|sphere) [^>]*>", drawn, text, count=1)
+    (tmp_path / "own.urdf").write_text(text.replace("VISUAL", "visual"), encoding="utf-8")
+    deepbots("new", "own", "copied", "--urdf", "own.urdf", "--copy")
+    assert len({path.read_bytes() for path in (tmp_path / "copied").rglob("*.glb")}) == 2
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,6 @@ PRINTED = re.compile(rf"`({VERB}[^`]*)`|(?:^|: | {{2}})({VERB}[^`;\n]*)")
 HOLE = re.compile("\0(.*?)\1")
 """A field of a message, as its Python text."""
 STANDING_FOR = {
-    r"' '.join\(map\(shell_word, files\)\)": "a.yaml b.yaml",
     r"command": "start 1",
     r"' '.join\(following\)": "hint --step drive",
     r"option": "--from",
@@ -153,3 +152,21 @@ def test_the_commands_that_are_printed_about_a_file_run(
         assert verb != "new" or validated_name(words[0])
         if verb in CHEAP:
             assert deepbots(verb, *words, code=None).code < 2, command
+
+
+def test_a_command_that_shows_findings_again_reads_the_same_scenario(
+    deepbots: Deepbots, tmp_path: Path
+) -> None:
+    deepbots("new", "cart", "project", "--from", "cartpole", "--json")
+    (tmp_path / "project" / "robots").rename(tmp_path / "my robots")
+    path = tmp_path / "project" / "cart.yaml"
+    text = path.read_text(encoding="utf-8").replace("robots/urdf", "../my robots/urdf")
+    path.write_text(text, encoding="utf-8")
+    options = ("--allow-path", "my robots", "--set", "signals.spare=abs(1 m)")
+    (command,) = PRINTED.findall(deepbots("compile", "project/cart.yaml", *options).err)
+    assert "spare" in deepbots(*shlex.split(command[1])[1:]).out
+    path.write_text(text.replace("timestep:", "timestop:"), encoding="utf-8")
+    ran = deepbots("compile", "project/cart.yaml", *options[:2], "--set", "world.tiemstep=on", code=1)
+    assert "1 can be fixed by" in ran.err
+    (command,) = PRINTED.findall(ran.err)
+    assert "1 fixed in 1 file" in deepbots(*shlex.split(command[1])[1:], code=None).err

@@ -30,6 +30,7 @@ from deepbots_cli import errors
 from deepbots_cli.diagnostics import Finding, Label, Source, Span
 from deepbots_cli.diagnostics.findings import Fix, RuleSelectors, Selection, edited, suppress
 from deepbots_cli.diagnostics.render import github, junit, render, sarif, summary
+from deepbots_cli.document.layout import quoted
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.lint.pages import pages_of
 from deepbots_cli.program import identity
@@ -488,6 +489,8 @@ NO_CODE = "the comment does not name the code to suppress"
         # A comment on the line, or on the one above.
         ("a: on  # deepbots: ignore[DB003]\n", 0, {}, {}),
         ("# deepbots: ignore[DB003]\na: on\n", 0, {}, {}),
+        ("a: on # deepbots: ignore[db003]\n", 0, {}, {}),
+        ("a: on # deepbots: ignore[yaml11-boolean]\n", 0, {}, {}),
         ("x:\n  # deepbots: ignore[DB003] as the firmware wants it\n  a: on\n", 0, {}, {}),
         ("a: [on, on] # the firmware's word  # deepbots: ignore[DB003]\n", 0, {}, {}),
         ("<!-- deepbots: ignore[DB003] -->\n<a on/>\n", 0, {}, {}),
@@ -513,6 +516,7 @@ NO_CODE = "the comment does not name the code to suppress"
             {},
         ),
         ("a: x#deepbots: ignore[DB003]\n", 0, {}, {}),
+        ('a: ["on # deepbots: ignore[DB003]",\n  on] # deepbots: ignore[DB003]\n', 1, {}, {}),
         # A comment about what did not run, or is hidden by an error, is of use.
         ("a: 1 # deepbots: ignore[DB608]\n", 0, {}, {"preview": True}),
         ("a: 1 # deepbots: ignore[DB608]\n", 0, {"DB608": NOTHING}, {"preview": True, "deep": True}),
@@ -533,7 +537,7 @@ def test_a_comment_suppresses_the_warnings_of_its_line(
         Finding({"on": "DB003", "bad": "DB101"}[match[0]], Span(source, *match.span()), "x")
         for match in re.finditer(r"\b(on|bad)\b", text)
     ]
-    left, unused = suppress(findings, [source], **runs)
+    left, unused = suppress(findings, [source], quoted, **runs)
     assert len(left) == kept
     assert [(f.code, f.span.text, f.headline) for f in unused] == [
         ("DB901", marked, headline.format(marked)) for marked, headline in reported.items()

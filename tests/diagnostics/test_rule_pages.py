@@ -13,6 +13,7 @@ from deepbots_cli.diagnostics import RULES, Findings
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.diagnostics.registry import RETIRED
 from deepbots_cli.document import loads
+from deepbots_cli.document.layout import quoted
 from deepbots_cli.lint import (
     EXPLOIT_RULES,
     SIMULATED_RULES,
@@ -67,7 +68,7 @@ def codes_of(text: str, page: RulePage, folder: Path) -> set[str]:
             if searched
             else simulate(checked, preview=True).findings
         )
-    kept, unused = suppress(reported, checked.document.sources, preview=True, deep=page.deep)
+    kept, unused = suppress(reported, checked.document.sources, quoted, preview=True, deep=page.deep)
     return {finding.code for finding in (*kept, *unused)}
 
 

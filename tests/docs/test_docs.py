@@ -42,6 +42,7 @@ from deepbots_cli.compiler import CheckedScenario, check
 from deepbots_cli.diagnostics import Finding, Findings
 from deepbots_cli.diagnostics.findings import suppress
 from deepbots_cli.document import Document, load, loads
+from deepbots_cli.document.layout import quoted
 from deepbots_cli.document.load import LEVELS_OF_NAMES, merge
 from deepbots_cli.document.nodes import (
     Entry,
@@ -737,7 +738,7 @@ def _blocks(page: Path) -> Iterator[Block]:
 def findings_of(text: str, base: Path = ROOT / "scenarios") -> list[Finding]:
     checked = check(loads(text, base=base))
     kept, unused = suppress(
-        [*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, preview=True
+        [*checked.findings, *run_rules(checked, preview=True)], checked.document.sources, quoted, preview=True
     )
     return [*kept, *unused]
 

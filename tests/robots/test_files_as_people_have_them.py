@@ -311,11 +311,9 @@ FIXES = {
 def test_a_comment_suppresses_a_warning_also_where_the_robot_file_is_linted_alone(
     deepbots: Deepbots, tmp_path: Path
 ):
-    """DB317 is a rule for scenarios, which does not run."""
-    arm = '<link name="arm"/> <!-- deepbots: ignore[DB305, DB306, DB317] -->'
+    arm = '<link name="arm"/> <!-- deepbots: ignore[DB305] -->'
     write(tmp_path, **{"robot.urdf": robot(link("base", MASS), arm, joint("hinge", "base", "arm"))})
-    (finding,) = json.loads(deepbots("lint", "robot.urdf", "--json").out)["findings"]
-    assert finding["message"] == "this comment suppresses nothing: there is no DB306 here"
+    assert json.loads(deepbots("lint", "robot.urdf", "--json").out)["findings"] == []
 
 
 @pytest.mark.parametrize("case", FIXES)
@@ -467,6 +465,8 @@ PLACES = {
     "a file alone": ("package://m.obj", "arm/m.obj", {}),
     "a name of Gazebo": ("model://arm/m.obj", "arm/m.obj", {}),
     "a name with blanks": ("package://my arm/a mesh.obj", "my arm/a mesh.obj", {}),
+    "an encoded NUL": ("package://arm/a%00.obj", "arm/a\ufffd.obj", {}),
+    "an encoded blank": ("package://my%20arm/a%20mesh.obj", "my arm/a mesh.obj", {}),
     "another package name": ("package://gone/meshes/m.obj", "arm/meshes/m.obj", {}),
     "a folder of the author": ("/home/x/ws/src/arm/meshes/m.obj", "arm/meshes/m.obj", {}),
     "a folder of an author with Windows": (r"C:\ws\arm\meshes\m.obj", "arm/meshes/m.obj", {}),

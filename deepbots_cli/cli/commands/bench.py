@@ -106,7 +106,7 @@ def command(
         overrides=with_engine(overrides, None if several or not names else names[0]),
         permissions=permissions,
     )
-    terminal.note_warnings(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     faster = None
     if several:
         rounds, steps = pairs or (1 if quick else 3), steps or 2000

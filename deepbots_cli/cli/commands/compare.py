@@ -184,7 +184,7 @@ def _show_matches(
 def _compiled(scenario: str, permissions: Permissions) -> Compiled:
     """Compile a scenario, and note its warnings."""
     compiled = api.compile(scenario, permissions=permissions)
-    terminal.note_warnings(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     return compiled
 
 
@@ -402,7 +402,7 @@ def command_diff(
             for name, settings in ((one, ()), (other, overrides or ()))
         ]
     except ScenarioError as error:
-        terminal.show_findings(error.findings)
+        terminal.show_findings(error.findings, permissions)
         raise typer.Exit(WRONG_USAGE) from None
     changes = scenario_changes(*sides)
     data = {

@@ -72,7 +72,7 @@ def command(
         terminal.refuse_input(
             output, () if compiled.document is None else compiled.document.files, compiled.inputs.values()
         )
-    terminal.note_warnings(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     if project is not None:
         paths = write_new(project_files(compiled), project, force=force)
         further = [f"cd {shell_word(project)} && python run.py"]

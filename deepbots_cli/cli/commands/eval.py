@@ -549,7 +549,7 @@ def evaluation_scenario(
     )
     compiled = api.compile(scenario_source, overrides=with_engine(overrides, engine))
     if scenario is not None:
-        terminal.note_warnings(compiled.findings, scenario)
+        terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     return compiled
 
 

@@ -234,7 +234,7 @@ def _check(
     differ = identity.compare_interfaces(
         contents.scenario.interface, identity.interface(compiled.program), words=words
     )
-    settings = "".join(f" --set {shell_word(text)}" for text in overrides)
+    settings = "".join(f" {option}" for option in terminal.scenario_options(permissions, overrides))
     remarks = bundle.remarks(
         contents,
         compiled.program,

@@ -4,7 +4,7 @@ captions."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -54,11 +54,11 @@ def command(
 ) -> None:
     """Show the tables of a scenario, a run or a robot file."""
     if is_robot(scenario):
-        _inspect_robot(scenario, permissions.folders, xacro_arguments(xacro), as_json)
+        _inspect_robot(scenario, permissions, xacro_arguments(xacro), as_json)
         return
     xacro_arguments(xacro, of_robot=False)
     side = open_source(scenario, overrides or (), permissions, engine)
-    terminal.note_warnings(side.findings, scenario)
+    terminal.note_warnings(side.findings, scenario, permissions, overrides or ())
     program = side.program.variant(case, stage)
     if ros:
         topics = _topics(program)
@@ -136,9 +136,9 @@ def _poses(program: Program, engine: str | None, permissions: Permissions) -> in
 
 
 def _inspect_robot(
-    reference: str, allowed: Sequence[str | Path], arguments: Mapping[str, str], as_json: bool
+    reference: str, permissions: Permissions, arguments: Mapping[str, str], as_json: bool
 ) -> None:
-    robot, findings = open_robot(reference, allowed, arguments)
+    robot, findings = open_robot(reference, permissions.folders, arguments)
     tables = inspection.robot_tables(robot, findings)
     terminal.show(
         tables, *_lines({name: rows for name, rows in tables.items() if name != "findings"}), as_json=as_json
@@ -152,7 +152,7 @@ def _inspect_robot(
             " them"
         )
     elif findings and not as_json:
-        terminal.show_findings(findings)
+        terminal.show_findings(findings, permissions)
 
 
 def _is_of_package(reference: str) -> bool:

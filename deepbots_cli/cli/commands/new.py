@@ -36,7 +36,6 @@ from deepbots_cli.files import refuse_overwriting
 from deepbots_cli.program import Program
 from deepbots_cli.robots import reader
 from deepbots_cli.robots.kinds import Kind
-from deepbots_cli.robots.mesh_formats import GLTF_SUFFIXES
 from deepbots_cli.robots.meshes import read_mesh
 from deepbots_cli.robots.model import Mesh
 from deepbots_cli.robots.reader import RobotFile
@@ -154,7 +153,7 @@ def command(
         choices = Choices(kind, task, xacro_arguments(xacro))
         place = f" --project {shell_word(project)}" if project is not None else _folder_argument(folder)
         base = f"deepbots new {name} --urdf {shell_word(urdf)}{_choice_options(choices)}{place}"
-        base += f"{' --schema' if schema else ''}{' --force' if force else ''}{_options(permissions.folders)}"
+        base += f"{' --schema' if schema else ''}{' --force' if force else ''}{_options(permissions)}"
         contents, first = _from_robot(urdf, name, folder, permissions, choices, base, copy=copy)
         _note_kind(urdf, first)
     elif webots is not None:
@@ -168,12 +167,15 @@ def command(
     before = _contents([*(folder / target for target in contents), folder / f"{name}.schema.json"])
     if copy:
         permissions = Permissions(code=permissions.code)
-    if schema:
-        paths = write_with_schema(contents, folder, permissions, force=force)
-    else:
-        paths = write_new(contents, folder, force=force)
+    paths = (
+        write_with_schema(contents, folder, permissions, force=force)
+        if schema
+        else write_new(contents, folder, force=force)
+    )
+    if project is not None and permissions.folders and "DB204" in {f.code for f in api.lint(paths[0])}:
+        terminal.note("the GitHub workflow will fail, because it reads the project alone; add --copy")
     if urdf or starter is not None:
-        terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]))
+        terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]), permissions)
     if starter is not None:
         _note_places(starter)
     has_schema = bool(schema or project)
@@ -267,10 +269,9 @@ def validated_name(name: str) -> str:
     return bare
 
 
-def _options(folders: Iterable[str | Path]) -> str:
-    """Return the options that allow these folders, with a blank before each."""
-    paths = (folders,) if isinstance(folders, (str, Path)) else folders
-    return "".join(f" --allow-path {shell_word(folder)}" for folder in paths)
+def _options(permissions: Permissions) -> str:
+    """Return the options for these permissions, with a blank before each."""
+    return "".join(f" {option}" for option in terminal.scenario_options(permissions))
 
 
 def _from_robot(
@@ -290,8 +291,8 @@ def _from_robot(
     except RobotError as error:
         if not error.allow:
             raise
-        terminal.show_findings(error.findings)
-        base += _options(error.allow)
+        terminal.show_findings(error.findings, permissions)
+        base += _options(Permissions(error.allow))
         terminal.note(
             f"\nto copy the robot and its meshes into the folder of the scenario:\n  {base} --copy\n"
             f"to leave them where they are, and allow the folder in each command:\n  {base}"
@@ -345,7 +346,7 @@ def from_robot(
         first = starters.scenario(file.model, reference, scenario_title(name), choices)
     except UsageError:
         if units := [finding for finding in findings if finding.code in UNIT_CODES]:
-            terminal.show_findings(units)  # a mesh in millimeters hides what the robot is
+            terminal.show_findings(units, permissions)  # a mesh in millimeters hides what the robot is
         raise
     return {PurePosixPath(f"{name}.yaml"): first.text.encode(), **copies}, first
 
@@ -358,7 +359,9 @@ def _copies(file: RobotFile, path: Path) -> Files:
         path = path.with_name(f"{path.name.partition('.')[0]}.urdf")
     meshes = {Path(mesh): Path(mesh) for mesh in file.meshes}
     # A `.gltf` file is copied with its buffers, as `.glb`.
-    meshes |= {mesh: mesh.with_suffix(".glb") for mesh in meshes if mesh.suffix.lower() in GLTF_SUFFIXES}
+    for mesh in [mesh for mesh in meshes if mesh.suffix.lower() == ".gltf"]:
+        names = (mesh.with_name(f"{mesh.stem}{number}.glb") for number in ("", *range(2, len(meshes) + 2)))
+        meshes[mesh] = next(name for name in names if name not in meshes.values())
     top = Path(os.path.commonpath([path.parent, *(mesh.parent for mesh in meshes)]))
     home = PurePosixPath(path.stem)
     text = file.with_mesh_names(
@@ -525,7 +528,7 @@ def _show(
     scenario, schema = shell_word(paths[0]), shell_word(paths[0].with_suffix(".schema.json"))
     lines = [f"{path} (unchanged)" if path in unchanged else str(path) for path in paths]
     further = [
-        f"deepbots {command} {scenario}{_options(permissions.folders)}"
+        f"deepbots {command} {scenario}{_options(permissions)}"
         + (f" -o {schema}" if "schema" in command else "")
         for command in commands
     ]

@@ -161,7 +161,7 @@ def command(
     ]
     compiled = api.with_learner(api.compile(scenario, overrides=changed, permissions=permissions))
     workers = _checked_workers(compiled.program, listed, workers, address)
-    terminal.note_warnings(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     settings: dict[str, Any] = {
         "total_timesteps": timesteps,
         "stop_when_solved": not full,

@@ -155,7 +155,7 @@ def command(
         )
         return
     compiled = api.compile(scenario, overrides=with_engine(overrides, engine), permissions=permissions)
-    terminal.note_warnings(compiled.findings, scenario)
+    terminal.note_warnings(compiled.findings, scenario, compiled.permissions, compiled.overrides)
     program = compiled.program.variant(case, stage)
     driver = RANDOM if driver is None else driver
     outcomes, name = _simulate(program, driver, episodes or COUNT, seed, steps, options, permissions)
@@ -396,9 +396,7 @@ def command_test(
         "tests": True,
     }
     added = [f"--engine {engine}"] if engine else []
-    added += [f"--set {shell_word(text)}" for text in overrides or ()]
-    added += [f"--allow-path {shell_word(folder)}" for folder in permissions.folders]
-    added += ["--allow-code"] if permissions.code else []
+    added += terminal.scenario_options(permissions, overrides or ())
     arguments.check_dividable(
         workers, address, len(names), "there is one scenario; name several, or a folder"
     )
@@ -408,9 +406,9 @@ def command_test(
     with arguments.executor(workers, address, len(names)) as executor:
         for tested in results(executor.map(_tested, calls, files=files)):
             scenario_results.append(tested)
-            terminal.note_warnings(tested.warnings, tested.scenario)
+            terminal.note_warnings(tested.warnings, tested.scenario, permissions, options["overrides"])
             if not as_json:
-                _show_tests(tested, added)
+                _show_tests(tested, added, permissions)
     if not any(tested.results or tested.findings for tested in scenario_results):
         missing = "under `tests`" if only is None else f"whose name contains '{only}'"
         raise UsageError(
@@ -462,9 +460,9 @@ def _tested(scenario: _Scenario, attempt: Attempt) -> _ScenarioResults:
     return _ScenarioResults(name, in_order, warnings=tuple(compiled.findings) if tests else ())
 
 
-def _show_tests(tested: _ScenarioResults, options: Sequence[str]) -> None:
+def _show_tests(tested: _ScenarioResults, options: Sequence[str], permissions: Permissions) -> None:
     if tested.findings:
-        terminal.show_findings(tested.findings)
+        terminal.show_findings(tested.findings, permissions)
         terminal.print_result(f"{tested.scenario}: not tested, because the file has errors\n")
     elif tested.results:
         terminal.print_result(f"{tested.scenario}\n{table([_test_row(result) for result in tested.results])}")
