@@ -25,7 +25,6 @@ from deepbots_cli.codegen import batch_obstacles, generate_module
 from deepbots_cli.document import load, shipped
 from deepbots_cli.envs import NAMES
 from deepbots_cli.errors import BatchError, UsageError
-from deepbots_cli.expressions.scalar import Draw
 from deepbots_cli.program import Program
 from deepbots_cli.runtime import Supervisor
 from tests.contract.conftest import Case
@@ -197,16 +196,6 @@ def test_episodes_begin_differently(environment: Supervisor) -> None:
     assert len({next_episode() for _ in range(8)}) == 8
 
 
-def test_a_reset_says_what_the_episode_draws(environment: Supervisor) -> None:
-    first, again = (environment.reset(seed=3)[1]["drawn"] for _ in range(2))
-    assert first == again
-    assert all(isinstance(value, (float, str)) for value in first.values())
-    plain = (
-        value for value in environment.scenario.parameters if not value.components and value.redraw is None
-    )
-    assert {value.name for value in plain if isinstance(value.scalar, Draw)} <= set(first)
-
-
 # Steps
 
 
@@ -256,15 +245,6 @@ def test_the_papers_methods_only_read(environment: Supervisor, make: Make) -> No
         transitions.append(transition)
     assert len(transitions) == len(expected)
     assert record(environment, 6, steps=20) == expected
-
-
-def test_queues_are_empty_after_every_reset(environment: Supervisor) -> None:
-    for steps in (0, 1, 5, 30):
-        list(episode(environment, steps, steps))
-        environment.reset()
-        for agent, robot in product(agents(environment), environment.scenario.robots):
-            assert len(getattr(agent, f"to_{robot.name}")) == 0
-            assert len(getattr(agent, f"from_{robot.name}")) == 0
 
 
 def test_channels_never_fill_up(environment: Supervisor) -> None:

@@ -128,23 +128,6 @@ def test_an_engine_without_exact_snapshots_says_so(engine_name, worlds, build):
             ask()
 
 
-def test_motors_exert_nothing_after_a_reset(engine_name, worlds, build):
-    engine = build(engine_name, worlds.rail())
-    writers = (
-        engine.torque_motor("robot", ["slide"], [8.0]),
-        engine.velocity_motor("robot", ["slide"], [8.0]),
-        engine.position_motor("robot", ["slide"], [8.0], [50.0], [1.0]),
-        engine.position_motor("robot", ["slide"], [8.0], None, None),
-    )
-    for write in writers:
-        write([3.0])
-        engine.step(4)
-        engine.reset()
-        engine.step(4)
-        assert engine.joint_states("robot", ["slide"])()[0][:2] == (0.0, 0.0)
-        assert engine.joint_torques("robot", ["slide"])()[0] == pytest.approx(0.0, abs=1e-100)
-
-
 LOOKS: dict[str, Callable[[Engine], Callable[[], object]]] = {
     "joints": lambda engine: engine.joint_states("robot", (*WHEELS, "hinge")),
     "torques": lambda engine: engine.joint_torques("robot", WHEELS),

@@ -17,8 +17,6 @@ import numpy as np
 import pytest
 from exact_engine.lump import joined
 from exact_engine.motion import CartPole, RigidBody
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from deepbots_cli import frames
 from deepbots_cli.engines import create, create_batch
@@ -112,27 +110,6 @@ def test_a_cart_pole_follows_the_textbook_equations(worlds):
     sliding = temp - m * half * turning * cos(angle) / total
     assert (motion.state[2] / 1e-5, (motion.state[3] - rate) / 1e-5) == pytest.approx(
         (sliding, turning), rel=1e-3
-    )
-
-
-@settings(max_examples=25)
-@given(rpy=st.tuples(*[st.floats(-3, 3)] * 3), angle=st.floats(-3, 3), rate=st.floats(-3, 3))
-def test_a_world_that_is_turned_as_a_whole_moves_alike(worlds, rpy, angle, rate):
-    turned = quaternion(*rpy)
-    level = cart_pole(worlds.rail())
-    tilted = cart_pole(replace(worlds.rail(), gravity=frames.rotate(turned, DOWN)))
-    tilted.place(((1.0, 2.0, 3.0), turned))
-    for motion in (level, tilted):
-        motion.set_joint(1, angle, rate)
-        motion.drives[0].torque = 2.0
-        motion.advance(0.2)
-    assert tilted.state == pytest.approx(level.state, abs=1e-9)
-    position = level.pose("tip")[0]
-    assert tilted.pose("tip")[0] == pytest.approx(
-        frames.add((1, 2, 3), frames.rotate(turned, position)), abs=1e-9
-    )
-    assert tilted.velocity("tip")[0] == pytest.approx(
-        frames.rotate(turned, level.velocity("tip")[0]), abs=1e-8
     )
 
 
