@@ -307,10 +307,10 @@ def cases(monkeypatch):
     """The setting of two cases, of which the second is interrupted."""
 
     class InterruptedInSteep(terminal.ProgressBar):
-        def __init__(self, total, unit):
+        def __init__(self, total, unit, **options):
             if unit.startswith("episodes of case steep"):
                 raise KeyboardInterrupt
-            super().__init__(total, unit)
+            super().__init__(total, unit, **options)
 
     monkeypatch.setattr(terminal, "ProgressBar", InterruptedInSteep)
     return "evaluation.cases={short: {set: {truncation.max_steps: 7}}, steep: {set: {fall_angle: 5 deg}}}"

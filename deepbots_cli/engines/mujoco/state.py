@@ -285,9 +285,15 @@ class MujocoWorld:
         """
         self.require_open()
         if self.settle_values():
+            model = self.model
+            armature, inverse = model.dof_armature.copy(), model.dof_invweight0.copy()
+            model.dof_armature[:] = self.armature
             # `mj_setConst` computes at the reference position, and leaves its data there.
-            mj.mj_setConst(self.model, self.scratch_data)
-            self.inverse_inertia[:] = self.model.dof_invweight0
+            mj.mj_setConst(model, self.scratch_data)
+            self.inverse_inertia[:] = model.dof_invweight0
+            # A copy of a robot may drive its joints before the masses of the next copy are set.
+            driven = armature != self.armature
+            model.dof_armature[driven], model.dof_invweight0[driven] = armature[driven], inverse[driven]
 
     def settle_values(self) -> bool:
         """Compute the values that depend on all values that were set except masses; return whether masses
