@@ -87,10 +87,11 @@ def unused_definition(context: RuleContext) -> Iterator[Finding]:
 
 def _removal(context: RuleContext, path: NodePath) -> Fix | None:
     """Return the fix that removes an entry; None where a case, a stage or `tune` sets it or a part of it, and
-    for an action beside scripts, which set each action."""
+    for an action beside scripts, which set each action, or with choices, which have other variables."""
     root = context.values.root
     *agent, section, _ = path
-    if section == "action" and node_at(root, *agent, "scripts"):
+    others = node_at(root, *agent, "scripts") or node_at(root, *path, "choices")
+    if section == "action" and others:
         return None
     set_paths = (setting_path(root, str(setting[-1])) for setting in settings_in(root))
     return None if any(at[: len(path)] == path for at in set_paths) else removal_fix(root, path)
