@@ -22,8 +22,10 @@ from deepbots_cli.codegen.names import (
 from deepbots_cli.codegen.printer import Printer, outer_states
 from deepbots_cli.codegen.workspace import ClassPrinter, ReaderKeys, whole_vector
 from deepbots_cli.compiler.robots import rigid_root
+from deepbots_cli.expressions.functions import FUNCTIONS
 from deepbots_cli.expressions.scalar import Draw, EngineRead, Name, Op, Scalar, State, names_in, walk
 from deepbots_cli.expressions.text import SCALAR, Target
+from deepbots_cli.expressions.types import Kind
 from deepbots_cli.program import Program, generated
 from deepbots_cli.program.robots import Actuator, Cartesian, CustomActuator, Motor, Robot, Sensor, Thrust
 from deepbots_cli.words import sentence_list
@@ -225,18 +227,24 @@ def sampled_sensors(scenario: Program, robot: Robot) -> dict[str, Sensor]:
     on_board = [value for entry in (*robot.emitted, *robot.commands) for value in entry.scalars]
     computed = [value for entry in scenario.computed_expressions for value in entry.scalars]
     used_names = {leaf.name for value in on_board for leaf in names_in(value)}
-    aged_sensors = {
+    named_sensors = {
         node.subjects[0]
         for value in (*on_board, *computed)
         for node in walk(value)
-        if isinstance(node, EngineRead) and node.function == "age"
+        if isinstance(node, EngineRead) and _names_sensor(node.function)
     }
     used = [
         sensor
         for sensor in robot.sensors
-        if sensor.name in used_names or f"{robot.name}.{sensor.name}" in aged_sensors
+        if sensor.name in used_names or f"{robot.name}.{sensor.name}" in named_sensors
     ]
     return {sensor.name: sensor for sensor in used if not sensor.is_direct}
+
+
+def _names_sensor(function: str) -> bool:
+    """Return whether a function takes a sensor or a camera, as `age` and `visible` do."""
+    entry = FUNCTIONS.get(function)  # None for `present`, which only generated code reads
+    return entry is not None and any(param.kinds & {Kind.SENSOR, Kind.CAMERA} for param in entry.params)
 
 
 def observes_each_timestep(scenario: Program, robot: Robot) -> bool:
