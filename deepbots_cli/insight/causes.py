@@ -124,13 +124,13 @@ def lint_warns(evidence: TrainingEvidence) -> Numbers | None:
     meanings = {code: text for code, text in _UNLEARNABLE.items() if not refuted.get(code)}
     early = _BY_NAME["ending_early_pays"]
     # This cause says the same from the episodes.
-    said = {"DB705"} if early.when(evidence) and early.numbers(evidence) else set()
+    repeated = {"DB705"} if early.when(evidence) and early.numbers(evidence) else set()
     # If the training continues, a policy that has learned the task may still discover a reward without
     # success.
     concerned = [
         finding
         for finding in linted.findings
-        if finding.code not in said
+        if finding.code not in repeated
         and (finding.code in _EXPLOITS or not (evidence.learned or _is_of_foreign_robot(finding)))
     ]
     if not concerned:
