@@ -144,7 +144,11 @@ def dimension_of(
         if is_bare_number(value):
             is_sum = isinstance(node, syntax.Binary) and node.operator in ("+", "-")
             raise missing_unit(
-                value, first.type.dimension, report, other=first if is_sum else None, is_paid=is_paid
+                _with_other_end(value, values, node),
+                first.type.dimension,
+                report,
+                other=first if is_sum else None,
+                is_paid=is_paid,
             )
         needed = value if first.type.dimension == NUMBER else first
         help, names = _plain_names(needed.type.dimension, first, value)
@@ -209,6 +213,16 @@ def require_dimension(
     corrected = divided_text(value, f" / {divisor}") if CORRECTED_LINE in help else None
     replacement = WHOLE_TEXT if corrected is not None and dimension == NUMBER else None
     raise report_at(report, "DB503", value, headline, help, replacement, names=names, corrected=corrected)
+
+
+def _with_other_end(
+    low: TypedNode, values: Sequence[TypedNode], node: ReportedNode
+) -> TypedNode | TypedRange:
+    """Return the range of which a value is the low end if the high end has no unit either, else the value."""
+    arguments = node.args if isinstance(node, syntax.Call) else ()
+    ends = {one.low.start: one.high.start for one in arguments if isinstance(one, syntax.Range)}
+    high = next((value for value in values if value.start == ends.get(low.start)), low)
+    return TypedRange(low, high, low.start, high.end) if high != low and is_bare_number(high) else low
 
 
 def _expected(dimension: Dimension, noun: str | None) -> str:
@@ -339,12 +353,9 @@ def _is_proportional(value: TypedNode) -> bool:
 
 def _named_numbers(value: TypedNode) -> Iterator[tuple[str, str]]:
     """Yield the named fixed numbers in a sum or product, with the text of those without a unit."""
-    if isinstance(value, Reference) and value.symbol.value is not None:
-        is_plain = value.type.dimension == NUMBER
-        yield value.symbol.name, " ".join(map(_number_text, value.symbol.value)) if is_plain else ""
-    elif isinstance(value, Operation) and value.operator in ("add", "sub", "mul", "div", "neg"):
-        for part in value.args:
-            yield from _named_numbers(part)
+    for named in _references(value):
+        is_plain = named.type.dimension == NUMBER
+        yield named.symbol.name, " ".join(map(_number_text, named.symbol.value or ())) if is_plain else ""
 
 
 def _remedy(value: TypedNode, needed: Dimension) -> tuple[str, dict[str, str | None]]:

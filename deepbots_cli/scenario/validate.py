@@ -379,12 +379,13 @@ def _merge_outdented_entries(
         entries = list(holder.entries.values())
         following = entries[list(holder.entries).index(str(name)) :]
         moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023
-        at_fault = {problem.path for problem in problems}
+        at_fault = {problem.path: problem.replacement for problem in problems}
+        is_of_holder = _is_key(data, path, str(name)) or at_fault.get((*path, name)) is not None
         fitting = (
             (section[-1], spaces)
             for section, spaces in _sections_above(path, holder, following[0].key)
             if section not in at_fault
-            and (_is_key(data, section, str(name)) or not _is_key(data, path, str(name)))
+            and (_is_key(data, section, str(name)) or not is_of_holder)
             and _fits(data, path, section, moved, errors)
         )
         section_above = next(fitting, None) if moved else None

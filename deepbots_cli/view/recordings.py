@@ -58,7 +58,7 @@ MAX_DRIVEN_BYTES = 1 << 28
 limits for reading. It is half an hour of CartPole, or two hours of FindBall."""
 _MESSAGE_OVERHEAD_BYTES = 100  # bytes in memory, as for a recording that is read
 _MAX_SIDE = 1024
-_MAX_NUMBER = 1e9  # for positions in m and times in s; larger ones cannot be drawn
+_MAX_NUMBER = 1e9  # of positions in m and times in s that are drawn
 _decode = msgspec.json.decode
 _POINT_FIELDS = [{"name": axis, "offset": 4 * index, "type": 7} for index, axis in enumerate("xyz")]
 """The fields of a point of foxglove.PointCloud; the type 7 is FLOAT32."""
@@ -491,8 +491,11 @@ def _link_frames(topics: Payloads, layout: FrameLayout) -> dict[LinkName, Frame]
         for link in model.links:
             position, turn = links[name, link.name]
             is_unit = math.isclose(math.hypot(*turn), 1.0, rel_tol=1e-3)
-            if not is_unit or not all(abs(x) <= _MAX_NUMBER for x in position):
+            if not is_unit or any(map(math.isnan, position)):
                 raise ValueError(link.name)
+            # Of a simulation that has diverged, but is finite, the numbers can be shown.
+            within = cast("Triple", tuple(max(-_MAX_NUMBER, min(x, _MAX_NUMBER)) for x in position))
+            links[name, link.name] = (within, turn)
     return links
 
 

@@ -343,14 +343,16 @@ def keys_may_stand_in_any_order(case: Case) -> None:
     since the observation has one."""
     data = spoiled(case, data_of(case))
     expected = Meaning.of(case.write(data))
-    ordered = Meaning.of(case.write(case.draw(orders(data))))
-    if any(_OUTDENTED in headline for _, headline in (*expected.findings, *ordered.findings)):
+    require_in_order(Meaning.of(case.write(case.draw(orders(data)))), expected)
+
+
+def require_in_order(actual: Meaning, expected: Meaning, may_lack: Sequence[str] = ()) -> None:
+    """Require the same, unless a finding is about what is on the line above, in another order or file."""
+    if any("not indented below" in headline for _, headline in (*expected.findings, *actual.findings)):
         reject()
-    ordered.require(expected)
+    actual.require(expected, may_lack=may_lack)
 
 
-_OUTDENTED = "not indented below"
-"""A finding about what stands on the line above, which another order of keys changes."""
 _OF_BASES = ("DB205",)
 """Findings of what the scenario's own file defines: what it does not use of a base or of an option, another
 scenario may use."""
@@ -432,10 +434,7 @@ def a_scenario_cut_by_extends_is_the_whole(case: Case) -> None:
     data = spoiled(case, data_of(case))
     expected = Meaning.of(case.write(data))
     case.draw(bases(data)).write(case)
-    whole = Meaning.of(case.path)
-    if any(_OUTDENTED in headline for _, headline in (*expected.findings, *whole.findings)):
-        reject()
-    whole.require(expected, may_lack=_OF_BASES)
+    require_in_order(Meaning.of(case.path), expected, _OF_BASES)
 
 
 @st.composite
@@ -465,7 +464,7 @@ def a_scenario_of_included_parts_is_the_whole(case: Case) -> None:
     data = spoiled(case, data_of(case))
     expected = Meaning.of(case.write(data))
     case.draw(parts(data)).write(case)
-    Meaning.of(case.path).require(expected, may_lack=_OF_BASES)
+    require_in_order(Meaning.of(case.path), expected, _OF_BASES)
 
 
 # Assignments
