@@ -380,7 +380,9 @@ def _merge_outdented_entries(
         following = entries[list(holder.entries).index(str(name)) :]
         moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023
         at_fault = {problem.path: problem.replacement for problem in problems}
-        is_of_holder = _is_key(data, path, str(name)) or at_fault.get((*path, name)) is not None
+        near = at_fault.get((*path, name))
+        is_misspelled = near is not None and near.text not in holder.entries
+        is_of_holder = _is_key(data, path, str(name)) or is_misspelled
         fitting = (
             (section[-1], spaces)
             for section, spaces in _sections_above(path, holder, following[0].key)
