@@ -381,7 +381,8 @@ def _merge_outdented_entries(
         moved = list(takewhile(lambda entry: entry.key.text in faulty, following))  # noqa: B023
         at_fault = {problem.path: problem.replacement for problem in problems}
         near = at_fault.get((*path, name))
-        is_misspelled = near is not None and near.text not in holder.entries
+        present = {*holder.entries, *(key.text for key in holder.keys_without_value)}
+        is_misspelled = near is not None and near.text not in present
         is_of_holder = _is_key(data, path, str(name)) or is_misspelled
         fitting = (
             (section[-1], spaces)
