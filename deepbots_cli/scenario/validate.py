@@ -382,8 +382,7 @@ def _merge_outdented_entries(
         at_fault = {problem.path: problem.replacement for problem in problems}
         near = at_fault.get((*path, name))
         present = {*holder.entries, *(key.text for key in holder.keys_without_value)}
-        is_misspelled = near is not None and near.text not in present
-        is_of_holder = _is_key(data, path, str(name)) or is_misspelled
+        is_of_holder = _is_key(data, path, str(name)) or (near is not None and near.text not in present)
         fitting = (
             (section[-1], spaces)
             for section, spaces in _sections_above(path, holder, following[0].key)
