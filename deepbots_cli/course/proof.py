@@ -4,10 +4,13 @@ the order of their names, and cheats earn nothing more than what they were added
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+
+import yaml
 
 from deepbots_cli.course.grading import Marks, grade
 from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
@@ -41,7 +44,17 @@ def _changed(change: Callable[[str], str], *, worlds: bool = False) -> Cheat:
 
 
 def _appended(lines: str, *, worlds: bool = False) -> Cheat:
-    return _changed(lambda text: f"{text.rstrip()}\n{lines}\n", worlds=worlds)
+    """Return a cheat that adds a key, or entries to the key that a file has."""
+    key = lines.partition(":")[0]
+
+    def changed(text: str) -> str:
+        if re.search(rf"(?m)^{key}:", text) is None:
+            return f"{text.rstrip()}\n{lines}\n"
+        data, added = map(yaml.safe_load, (text, lines))
+        is_mapping = isinstance(data[key], dict) and isinstance(added[key], dict)
+        return yaml.safe_dump(data | ({key: data[key] | added[key]} if is_mapping else added), sort_keys=False)
+
+    return _changed(changed, worlds=worlds)
 
 
 def _replaced(old: str, new: str) -> Cheat:
