@@ -4,7 +4,6 @@ the order of their names, and cheats earn nothing more than what they were added
 
 from __future__ import annotations
 
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -48,11 +47,11 @@ def _appended(lines: str, *, worlds: bool = False) -> Cheat:
     key = lines.partition(":")[0]
 
     def changed(text: str) -> str:
-        if re.search(rf"(?m)^{key}:", text) is None:
+        if f"\n{key}:" not in text:
             return f"{text.rstrip()}\n{lines}\n"
         data, added = map(yaml.safe_load, (text, lines))
-        is_mapping = isinstance(data[key], dict) and isinstance(added[key], dict)
-        return yaml.safe_dump(data | ({key: data[key] | added[key]} if is_mapping else added), sort_keys=False)
+        merged = data[key] | added[key] if isinstance(data[key], dict) else added[key]
+        return yaml.safe_dump(data | {key: merged}, sort_keys=False)
 
     return _changed(changed, worlds=worlds)
 

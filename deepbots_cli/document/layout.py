@@ -83,14 +83,16 @@ def _comments(text: str) -> list[str]:
 def quoted(source: Source) -> list[int]:
     """Return the offsets at which quoted values and the lines of block values (`|`, `>`) of a file begin and
     end, in turn; none if YAML cannot read the file."""
-    text = source.text
     try:
         return [
             offset
-            for token in _tokens(text)
-            if token.kind == "<scalar>" and text[token.start] in "\"'|>"
+            for token in _tokens(source.text)
+            if token.kind == "<scalar>" and source.text[token.start] in "\"'|>"
             # A comment may be behind the sign of a block.
-            for offset in (text.find("\n", token.start) if text[token.start] in "|>" else token.start, token.end)
+            for offset in (
+                source.text.find("\n", token.start) if source.text[token.start] in "|>" else token.start,
+                token.end,
+            )
         ]
     except yaml.YAMLError:
         return []
