@@ -483,7 +483,10 @@ def _described(error: BaseException) -> str:
         return f"{described}; the project is for deepbots before 1.0, such as the package deepbots==0.1.2"
     if name is not None and isinstance(error, ModuleNotFoundError):
         package = name.partition(".")[0]
-        return f"{described}; install the package of '{package}', or name an environment with it by --python"
+        # Version 1.0 of deepbots requires gym 0.21, which cannot be built any more.
+        install = "pip install --no-deps deepbots==1.0.0 gym==0.26.2 gym-notices tensorboardX"
+        way = f"`{install}`" if package == "deepbots" else f"the package of '{package}'"
+        return f"{described}; install {way}, or name an environment with it by --python"
     return described
 
 
@@ -497,7 +500,8 @@ def packages_of(python: Path) -> list[str]:
     try:
         ran = subprocess.run([python, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     except (OSError, subprocess.SubprocessError) as error:
-        raise UsageError(f"--python {python} does not run: {error}") from error
+        reason = error.strerror.lower() if isinstance(error, OSError) and error.strerror else error
+        raise UsageError(f"--python {python} does not run: {reason}") from error
     version, *folders = ran.stdout.splitlines()
     own_version = f"{sys.version_info[0]} {sys.version_info[1]}"
     if version != own_version:

@@ -202,6 +202,9 @@ def grade(
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
         futures = [pool.submit(marked, entry) for entry in hand_ins]
         try:
+            # A signal that comes just before a wait does not interrupt it.
+            while wait(futures, timeout=1.0).not_done:
+                pass
             marks = [future.result() for future in futures]
         except BaseException as error:
             stop.set()

@@ -9,6 +9,8 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
+import yaml
+
 from deepbots_cli.course.grading import Marks, grade
 from deepbots_cli.course.lessons import ANSWERS_NAME, HALF, SOLUTION, START, Lesson
 from deepbots_cli.course.marking import UNCHANGED, Marker
@@ -41,7 +43,17 @@ def _changed(change: Callable[[str], str], *, worlds: bool = False) -> Cheat:
 
 
 def _appended(lines: str, *, worlds: bool = False) -> Cheat:
-    return _changed(lambda text: f"{text.rstrip()}\n{lines}\n", worlds=worlds)
+    """Return a cheat that adds a key, or entries to the key that a file has."""
+    key = lines.partition(":")[0]
+
+    def changed(text: str) -> str:
+        if f"\n{key}:" not in text:
+            return f"{text.rstrip()}\n{lines}\n"
+        data, added = map(yaml.safe_load, (text, lines))
+        merged = data[key] | added[key] if isinstance(data[key], dict) else added[key]
+        return yaml.safe_dump(data | {key: merged}, sort_keys=False)
+
+    return _changed(changed, worlds=worlds)
 
 
 def _replaced(old: str, new: str) -> Cheat:
@@ -128,12 +140,17 @@ def prove(
         workers: The number of hand-ins to mark at a time.
         on_marks: Called with the marks of each hand-in, and the number of hand-ins so far.
     """
-    policy = 0 if train else _policy_points(lesson)
     without = "" if train else " that need no policy"
-    full = lesson.points - policy
-    halves = sorted(path for path in (lesson.folder / HALF).glob("*") if path.is_dir())
-    folders = [(START, lesson.folder / START), (SOLUTION, lesson.folder / SOLUTION)]
-    folders += [(f"{HALF}/{path.name}", path) for path in halves]
+    full = lesson.points - (0 if train else _policy_points(lesson))
+    folders = [
+        (SOLUTION, lesson.folder / SOLUTION),
+        (START, lesson.folder / START),
+        *(
+            (f"{HALF}/{path.name}", path)
+            for path in sorted((lesson.folder / HALF).glob("*"))
+            if path.is_dir()
+        ),
+    ]
     graded = grade(lesson, folders, train=train, workers=workers, on_marks=on_marks)
     marks = dict(zip((name for name, _ in folders), graded, strict=True))
     yield _proven(START, marks[START], marks[START].points == 0, "nothing")
@@ -150,7 +167,7 @@ def prove(
         least, most = before + train, full - train
         yield _proven(name, marks[name], least <= points <= most, f"{least} to {most}")
         before = max(before, points)
-    base = halves[-1] if halves else lesson.folder / START
+    base = folders[-1][1]
     yield from _cheats(lesson, base, workers, lambda marks, done: on_marks(marks, len(folders) + done))
 
 
@@ -173,8 +190,9 @@ def _cheats(
             # A run is read only for a step that was changed.
             is_named = bool(marks.all_remarks) or _reasons(marks) != _reasons(honest)
             is_right = marks.points <= honest.points and (is_named or CHEATS[marks.student] is _run)
-            expected = f"at most {honest.points}, and a remark"
-            yield _proven(f"cheat: {marks.student}", marks, is_right, expected)
+            yield _proven(
+                f"cheat: {marks.student}", marks, is_right, f"at most {honest.points}, and a remark"
+            )
 
 
 def _guards(lesson: Lesson) -> Iterator[Proven]:
@@ -186,8 +204,9 @@ def _guards(lesson: Lesson) -> Iterator[Proven]:
             mark = marker.mark(name)
         for check, earned in zip(step.checks, mark.checks, strict=True):
             if earned.points and not check.guard:
-                expected = "`guard: true`: start passes it"
-                yield Proven(f"{name}: {check.says}", earned.points, earned.of, False, expected)
+                yield Proven(
+                    f"{name}: {check.says}", earned.points, earned.of, False, "`guard: true`: start passes it"
+                )
 
 
 def _contents(folder: Path) -> dict[Path, bytes | None]:

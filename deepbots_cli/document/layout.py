@@ -81,14 +81,18 @@ def _comments(text: str) -> list[str]:
 
 
 def quoted(source: Source) -> list[int]:
-    """Return the offsets at which the quoted values of a file begin and end, in turn; none if YAML cannot
-    read the file."""
+    """Return the offsets at which quoted values and the lines of block values (`|`, `>`) of a file begin and
+    end, in turn; none if YAML cannot read the file."""
     try:
         return [
             offset
             for token in _tokens(source.text)
-            if token.kind == "<scalar>" and source.text[token.start] in "\"'"
-            for offset in (token.start, token.end)
+            if token.kind == "<scalar>" and source.text[token.start] in "\"'|>"
+            # A comment may be behind the sign of a block.
+            for offset in (
+                source.text.find("\n", token.start) if source.text[token.start] in "|>" else token.start,
+                token.end,
+            )
         ]
     except yaml.YAMLError:
         return []

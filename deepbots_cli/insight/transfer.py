@@ -279,7 +279,7 @@ def worlds_that_work(
     """Return whether the policy works in each of two worlds, and the meaning of working."""
     if gates:
         first, second = (all(gate.met for gate in gates if gate.subject == name) for name in names)
-        return (first, second), "the given requirements"
+        return (first, second), "what `--min-success` and `--min-return` ask for"
     if solved is None:
         return (None, None), ""
     first, second = (solved.is_met(result.mean_return, result.success_rate) for result in results)

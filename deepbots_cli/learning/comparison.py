@@ -632,7 +632,8 @@ def _notes(
         )
     if not all(world.same_criterion for world in worlds) and any(map(any, (g.solved_after for g in groups))):
         notes.append(
-            "the steps until solved are left out, because the runs do not ask for the same in `solved`"
+            "the steps until solved are left out, because `solved`, or an ending that it counts,"
+            " differs between the runs"
         )
     return notes
 

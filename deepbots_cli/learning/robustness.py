@@ -625,16 +625,17 @@ def _noise(root: MappingNode, program: Program, share: float) -> Change:
         observed = (entries_at(sections[name], "observation") for name in (played, owner))
         names = dict(zip(*observed, strict=True))
     change: Change = {}
+    is_noisy = False
     for name, section in sections.items():
         observation = section.get("observation")
         if observation is None or written(section, "policy") is not None:
             continue
+        added = _noisy(observation, learners[name], share, names) if name in learners else {}
+        is_noisy = is_noisy or bool(added)
         # An agent that is like another one would have its noise, too.
         entries: Any = to_data(observation) if written(root, "agents", name, "like") else {}
-        if name in learners:
-            entries |= _noisy(observation, learners[name], share, names)
-        change |= _nonempty(name, {"observation": entries} if entries else {})
-    return _nonempty("agents", change)
+        change |= _nonempty(name, {"observation": entries | added} if entries | added else {})
+    return _nonempty("agents", change if is_noisy else {})
 
 
 def _nonempty(key: str, change: Change) -> Change:

@@ -315,7 +315,7 @@ def resume(
         run: The directory of the run.
         total_timesteps: The new total, counted from the start of the run; by default as in the run.
         stop_when_solved: By default as in the run. A run that stopped because it was solved continues without
-            this criterion.
+            this criterion, and only with this argument or a new total.
         callbacks: Callbacks from now on; by default those of the run, () for none. A change may change the
             weights.
         loggers: Loggers from now on, likewise.
@@ -325,7 +325,7 @@ def resume(
 
     Raises:
         RunError: The folder is not a run, or is damaged; also the errors of `train`.
-        UsageError: The run has already reached its total, or another training uses it.
+        UsageError: The run has reached its total or was solved, or another training uses it.
     """
     path = Source.open(run, Permissions(), SourceKind.RUN).path
     # A folder that is not a run is refused as such, even if a training is at work in it.
@@ -354,11 +354,13 @@ def resume(
         if set(callbacks) != set(record.callbacks):
             before, since = (", ".join(names) or "none" for names in (record.callbacks, callbacks))
             checkpoints.note(f"the callbacks changed at {steps:,} steps from {before} to {since}")
-        if record.is_complete(training.total_timesteps, may_stop_early=False):
+        asks_for_more = total_timesteps is not None or stop_when_solved is not None
+        if record.is_complete(training.total_timesteps, may_stop_early=not asks_for_more):
+            ended = " and ended because the task was solved" if record.stopped_as_solved else ""
+            more = "; for the other timesteps, use `--full`" if steps < training.total_timesteps else ""
             raise UsageError(
-                f"the training of {resumed.path} is complete ({steps:,} of {training.total_timesteps:,}"
-                " timesteps);"
-                f" to continue it, set a total of more than {steps:,} timesteps with `--timesteps N`"
+                f"the training of {resumed.path} is complete{ended} ({steps:,} of"
+                f" {training.total_timesteps:,} timesteps){more}; for a new total, use `--timesteps N`"
             )
         if stop_when_solved is None:
             stop_when_solved = record.stop_when_solved

@@ -517,6 +517,7 @@ NO_CODE = "the comment does not name the code to suppress"
         ),
         ("a: x#deepbots: ignore[DB003]\n", 0, {}, {}),
         ('a: ["on # deepbots: ignore[DB003]",\n  on] # deepbots: ignore[DB003]\n', 1, {}, {}),
+        ("a: |  # deepbots: ignore[DB003]\n  on # deepbots: ignore[DB003]\n", 1, {"DB003": NOTHING}, {}),
         # A comment about what did not run, or is hidden by an error, is of use.
         ("a: 1 # deepbots: ignore[DB608]\n", 0, {}, {"preview": True}),
         ("a: 1 # deepbots: ignore[DB608]\n", 0, {"DB608": NOTHING}, {"preview": True, "deep": True}),
