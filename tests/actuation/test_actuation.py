@@ -601,13 +601,15 @@ class Pushed:
         self.act = callback
 
 
-def test_pushes_that_end_within_a_substep_lose_nothing_over_many():
+@pytest.mark.parametrize(("duration", "interval"), [(1.25, 2.1), (1.4, 1.4), (0.3, 0.7)])
+def test_pushes_that_end_within_a_substep_lose_nothing_over_many(duration: float, interval: float):
     engine = Pushed()
-    push = Push(engine, ("body", None), lambda: ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.25, 2.1), 1.0)  # type: ignore[arg-type]
+    wrench = ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    push = Push(engine, ("body", None), lambda: (*wrench, duration, interval), 1.0)  # type: ignore[arg-type]
     push.reset(0.0, 0)
     for _ in range(2100):
         engine.act()
-    assert isclose(engine.momentum, 1000 * 2.0 * 1.25, rel_tol=2e-3)
+    assert isclose(engine.momentum, 2100 * 2.0 * duration / interval, rel_tol=2e-3)
 
 
 GRAVITY = 9.81
