@@ -48,6 +48,11 @@ PARTS = {
     "train for half as long": ("train.total_timesteps", "50_000"),
     "make the pole 1,000 g": (_MASS, "1 kg"),
     "make the wheels twice as slow": ("parameters.wheel_speed", "2.5 rad/s"),
+    "make the wheels half as slow": ("parameters.wheel_speed", "10 rad/s"),
+    "slow the wheels down by half": ("parameters.wheel_speed", "2.5 rad/s"),
+    "slow down the wheels to half the speed": ("parameters.wheel_speed", "2.5 rad/s"),
+    "reduce the mass of the pole to only 30 %": (_MASS, "urdf * 0.3"),
+    "reduce the mass of the pole to  about 30%": (_MASS, "urdf * 0.3"),
 }
 WRITTEN = [
     ("make the pole longer", _SCALE, "1 1 1.5", "1 1 2.25"),
@@ -71,6 +76,11 @@ pole
 make the pole 20 cm longer
 make the pole 100 g heavier
 make the pole 0,5 kg
+add 500 g to the pole
+remove 100 g from the pole
+add 20 cm to the length of the pole
+reduce the length of the pole to 120 %
+increase the mass of the pole to 50 %
 make the pole 0.5 longer
 make the pole a third longer
 make the pole 2 and a half times longer
@@ -144,6 +154,11 @@ def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_p
 @pytest.mark.parametrize("phrase", ["make the pole twenty percent longer", "a pole eleven times heavier"])
 def test_a_number_in_words_that_is_not_read_changes_nothing(phrase: str) -> None:
     assert {suggestion.value for suggestion in _suggestions(phrase)} == {""}
+
+
+def test_an_article_is_no_name() -> None:
+    (suggestion,) = _suggestions("make a pole longer", "parameters={a: 2 m, _: 1 m}")
+    assert suggestion.path == _SCALE
 
 
 def test_a_formula_is_not_multiplied() -> None:
