@@ -775,6 +775,14 @@ def test_a_training_whose_evaluations_stay_equal_ends_after_its_patience(tmp_pat
     assert result.steps < 5_000
 
 
+def test_a_training_whose_task_is_solved_has_not_lost_its_patience(tmp_path: Path) -> None:
+    hyperparameters = hyper(learning_starts=10, train_freq=100, batch_size=8)
+    training = Training("DQN", 6_000, 1, hyperparameters, patience=1)  # equal evaluations are no better
+    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50)
+    result = train(task, runs=tmp_path, build=Worlds(good, confirmation=good, choice=good))
+    assert (result.confirmed_seed is not None, result.stopped_by) == (True, None)
+
+
 def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:
     build = Worlds(poor)
     result = learned(
