@@ -153,7 +153,9 @@ def command(
     progress = not quiet
     scenario = _checked_options(scenario, run)
     listed = None if seeds is None else seed_list(seeds)
-    is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
+    is_recorded = teacher is not None and (
+        teacher.endswith(RECORDING_SUFFIX) or "/" in teacher or Path(teacher).exists()
+    )
     changed = [
         *with_engine(overrides, engine),
         *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"]),
