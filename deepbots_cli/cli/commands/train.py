@@ -497,9 +497,24 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         try:
             _evaluate_cases(trained, permissions, cases)
         finally:  # after an interruption, the run keeps the cases that are finished
-            evaluated = records.evaluation_json(evaluation, cases)
             if evaluation.confirmation is None or cases:
-                records.write_evaluation(trained, evaluated)
+                records.write_evaluation(trained, records.evaluation_json(evaluation, cases))
+        _show_trained(
+            trained, result, evaluation, cases, quiet=quiet, as_json=as_json, permissions=permissions
+        )
+
+
+def _show_trained(
+    trained: Run,
+    result: TrainingResult,
+    evaluation: EvaluationResult,
+    cases: Sequence[EvaluationResult],
+    *,
+    quiet: bool,
+    as_json: bool,
+    permissions: Permissions,
+) -> None:
+    """Show a training with its evaluation, its most likely cause of failure and the next commands."""
     verdict = run_verdict(trained.path, trained.record)
     run = shell_word(result.run)
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
@@ -515,7 +530,7 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         further = [*filter(None, (f"deepbots diagnose {run}", causes[0].command))]
     data = {
         "training": result,
-        "evaluation": evaluated,
+        "evaluation": records.evaluation_json(evaluation, cases),
         "solved": verdict.solved,
         "decline": None if fall is None else fall.as_json(),
         "cause": causes[0].as_json() if causes else None,
