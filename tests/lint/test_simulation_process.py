@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api
+from deepbots_cli import api, processes
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions, shipped
@@ -122,6 +122,11 @@ def test_an_exception_of_deepbots_in_the_process_is_reported_with_its_place(chec
     report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
     assert report.fault is not None
     assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault.description)
+
+
+def test_a_measurement_that_comes_in_parts_is_read(checked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_MAX_LINE_BYTES", 100)
+    assert measure(checked().inputs, TIGHT).summary.measured
 
 
 @pytest.mark.slow
