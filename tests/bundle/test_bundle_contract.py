@@ -521,22 +521,22 @@ def test_sensors_of_one_kind_keep_their_numbers_and_the_name_of_the_base_is_for_
 
 
 def test_the_reading_of_a_single_joint_has_the_name_of_a_runner(tmp_path: Path) -> None:
-    servo = "{type: position_motor, joint: slider, stiffness: 9 N/m, damping: 1 N*s/m, max_torque: 9 N}"
     (tmp_path / "rail.yaml").write_text(
-        f"""deepbots: 1
+        """deepbots: 1
 name: Rail
-world: {{timestep: 20 ms}}
+world: {timestep: 20 ms}
 robots:
   rail:
     urdf: cartpole_rail
     base: fixed
-    sensors: {{at: {{type: joint_position, joint: slider}}}}
-    actuators: {{servo: {servo}}}
-    apply: {{servo: 0.1 m * go}}
-action: {{go: -1 .. 1}}
-observation: {{rail.at: -1 .. 1 m}}
-reward: {{still: 1}}
-truncation: {{max_steps: 100}}
+    sensors: {at: {type: joint_position, joint: slider}}
+    actuators:
+      servo: {type: position_motor, joint: slider, stiffness: 9 N/m, damping: 1 N*s/m, max_torque: 9 N}
+    apply: {servo: 0.1 m * go}
+action: {go: -1 .. 1}
+observation: {rail.at: -1 .. 1 m}
+reward: {still: 1}
+truncation: {max_steps: 100}
 """
     )
     assert [*deploy_settings(api.compile(tmp_path / "rail.yaml").program)["observations"]] == ["joint_pos"]

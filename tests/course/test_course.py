@@ -149,8 +149,8 @@ def test_a_finding_names_the_line_of_the_student(lesson: Lesson, tmp_path: Path)
 def test_a_failed_test_says_what_the_robot_of_the_student_did(
     lesson: Lesson, tmp_path: Path, step: str, text: str, reason: str
 ) -> None:
-    put(tmp_path / "own", **{step: text})
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work", takes_unchanged=True).mark(step)
+    own = put(tmp_path / "own", **{step: text})
+    mark = Marker(lesson, own, tmp_path / "work", takes_unchanged=True).mark(step)
     assert mark.checks[0].reason.startswith(reason)
 
 
@@ -182,8 +182,8 @@ def test_a_failed_test_says_what_the_robot_of_the_student_did(
 def test_a_part_that_no_part_may_be_earns_nothing(
     lesson: Lesson, tmp_path: Path, step: str, text: str | None, reason: str
 ) -> None:
-    put(tmp_path / "own", **({} if text is None else {step: text}))
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark(step)
+    own = put(tmp_path / "own", **({} if text is None else {step: text}))
+    mark = Marker(lesson, own, tmp_path / "work").mark(step)
     assert mark.points == 0
     assert reason in mark.checks[0].reason
 
@@ -219,8 +219,7 @@ def test_a_forbidden_name_is_one_that_the_parser_finds(text: str, word: str, is_
 
 def test_a_part_may_use_an_alias(lesson: Lesson, tmp_path: Path) -> None:
     text = STEP.replace("name: Own", "name: &way delta(x) / m").replace("%s * delta(x) / m", "*way")
-    put(tmp_path / "own", mend=text)
-    assert Marker(lesson, tmp_path / "own", tmp_path / "work").mark("mend").points == 3
+    assert Marker(lesson, put(tmp_path / "own", mend=text), tmp_path / "work").mark("mend").points == 3
 
 
 def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Path) -> None:
@@ -234,8 +233,8 @@ def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Pa
 def test_a_world_that_is_not_handed_in_is_no_mistake_of_an_unchanged_file(
     lesson: Lesson, tmp_path: Path
 ) -> None:
-    put(tmp_path / "own", sense=SENSE.replace("name: Own", "extends: world.yaml\nname: Own") % "{}")
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("sense")
+    own = put(tmp_path / "own", sense=SENSE.replace("name: Own", "extends: world.yaml\nname: Own") % "{}")
+    mark = Marker(lesson, own, tmp_path / "work").mark("sense")
     assert {check.reason for check in mark.checks} == {"not changed yet"}
 
 

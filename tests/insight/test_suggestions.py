@@ -84,6 +84,8 @@ increase the mass of the pole to 50 %
 make the pole 0.5 longer
 make the pole a third longer
 make the pole 2 and a half times longer
+make the pole twenty percent longer
+a pole eleven times heavier
 make the pole 2 m wide
 make the pole longer and heavier
 make the pole lighter and the cart faster
@@ -151,16 +153,11 @@ def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_p
             assert ratios == pytest.approx(expected, rel=1e-4)
 
 
-@pytest.mark.parametrize("phrase", ["make the pole twenty percent longer", "a pole eleven times heavier"])
-def test_a_number_in_words_that_is_not_read_changes_nothing(phrase: str) -> None:
-    assert {suggestion.value for suggestion in _suggestions(phrase)} == {""}
-
-
 def test_an_article_is_no_name() -> None:
-    (suggestion,) = _suggestions("make a pole longer", "parameters={a: 2 m, _: 1 m}")
-    assert suggestion.path == _SCALE
+    assert [each.path for each in _suggestions("make a pole longer", "parameters={a: 2 m, _: 1 m}")] == [
+        _SCALE
+    ]
 
 
 def test_a_formula_is_not_multiplied() -> None:
-    speed = "1 rad/s if 1 > 2 else 2 rad/s"
-    assert _suggestions("make the cart faster", f"parameters.wheel_speed={speed}") == []
+    assert _suggestions("go faster", "parameters.wheel_speed=1 rad/s if 1 > 2 else 2 rad/s") == []
