@@ -30,7 +30,7 @@ from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effective_hyperparameters
 from deepbots_cli.program import SEPARATOR, Program, identity
-from deepbots_cli.program.resets import OfSensor, RandomizedParameter
+from deepbots_cli.program.resets import OfLink, OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import (
     Actuator,
     Cartesian,
@@ -436,10 +436,10 @@ def _objects(scenario: Program) -> list[Row]:
         {
             "object": body.name,
             "shape": type(body.shape).__name__.lower(),
-            "mass_kg": drawn.get(((body.name, ""), "mass"), body.mass),
+            "mass_kg": drawn.get((OfLink(body.name), "mass"), body.mass),
             "fixed": body.fixed,
             "solid": body.solid,
-            "friction": drawn.get(((body.name, ""), "lateral_friction"), body.friction),
+            "friction": drawn.get((OfLink(body.name), "lateral_friction"), body.friction),
         }
         for body in scenario.world.objects
     ]

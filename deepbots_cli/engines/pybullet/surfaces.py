@@ -428,7 +428,6 @@ _DARK_TILE_SHARE = 0.9  # the brightness of the darker tiles of a floor with a c
 # The side of a cell of paint in m, and the number of cells along a side from which on they grow.
 _PAINT_CELL_M = 0.002
 _MAX_PAINT_CELLS = 2000
-_MAX_PAINTS = 255
 _HORIZON_COLOR = np.array([236, 241, 246], np.float32)
 _ZENITH_COLOR = np.array([150, 186, 222], np.float32)
 _HAZE_DISTANCE_M = 12.0  # m; the distance over which the floor fades into the horizon
@@ -479,9 +478,9 @@ class PaintMap:
         size = max(max(xs) - min(xs), max(ys) - min(ys))
         self._cell = max(_PAINT_CELL_M, size / _MAX_PAINT_CELLS)
         shape = tuple(ceil((max(values) - min(values)) / self._cell) + 1 for values in (xs, ys))
-        self._cells = np.zeros(shape, np.uint8)
-        self._colors = np.zeros((_MAX_PAINTS + 1, 3), np.float32)
-        for number, line in enumerate(lines[:_MAX_PAINTS], start=1):
+        self._cells = np.zeros(shape, np.min_scalar_type(len(lines)))
+        self._colors = np.zeros((len(lines) + 1, 3), np.float32)
+        for number, line in enumerate(lines, start=1):
             self._colors[number] = np.array(line.color[:3], np.float32) * 255.0
             for start, end in line.pieces:
                 self._stroke(start, end, line.width / 2, number)
