@@ -528,6 +528,10 @@ def _show_trained(
         further = [f"deepbots eval {run} --details", *further[1:]]
     if causes:
         further = [*filter(None, (f"deepbots diagnose {run}", causes[0].command))]
+    from deepbots_cli.course.grading import started_in
+
+    if started_in(Path()) is not None:
+        further.insert(0, "deepbots course check")
     data = {
         "training": result,
         "evaluation": records.evaluation_json(evaluation, cases),
