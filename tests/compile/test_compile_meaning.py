@@ -28,7 +28,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api
+from deepbots_cli import api, frames
 from deepbots_cli.codegen import generate_module
 from deepbots_cli.compiler import check
 from deepbots_cli.compiler.inputs import copy_names
@@ -928,9 +928,9 @@ def test_a_longer_pole_is_a_few_lines_upon_the_shipped_scenario() -> None:
 
 def test_of_two_patterns_the_later_one_moves_the_center_and_scales_the_inertia(workshop, cartpole) -> None:
     before = model(workshop.compile(cartpole())).link("wheel_front_left").inertial
-    change = "links: {wheel_*: {com: 1 0 0 cm, inertia: 2}, wheel_front_left: {com: 0 2 0 cm, inertia: 3}}"
+    change = "links: {wheel_*: {com: 1 0 0 cm, inertia: 2}, wheel_front_left: {com: 3 2 -1 cm, inertia: 3}}"
     after = model(workshop.compile(cartpole(with_cart(change)))).link("wheel_front_left").inertial
-    assert after.origin.xyz == pytest.approx((before.origin.xyz[0], before.origin.xyz[1] + 0.02, 0.0))
+    assert after.origin.xyz == pytest.approx(frames.add(before.origin.xyz, (0.03, 0.02, -0.01)))
     assert after.ixx == pytest.approx(3 * before.ixx)
 
 

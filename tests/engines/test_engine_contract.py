@@ -48,6 +48,7 @@ def test_a_reset_world_equals_a_fresh_one_after_a_different_episode(engine_name,
     fresh = episode(engine, 40)
     for ticks in (0, 1, 7, 33):
         engine.reset()
+        engine.position_motor("robot", ["slide"], [8.0], [50.0], [1.0])([3.0])
         episode(engine, ticks, start=-0.4)
         engine.reset()
         assert episode(engine, 40) == fresh
