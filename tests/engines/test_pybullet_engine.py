@@ -169,8 +169,7 @@ def test_unusual_views_give_pictures_without_a_warning(worlds, build, eye, targe
 
 
 def test_each_of_many_painted_lines_is_in_a_picture():
-    lines = [
-        Line(str(n), ((n / 50, 0.0), (n / 50, 1.0)), False, 0.01, color=(1, 0, 0, 1)) for n in range(300)
-    ]
-    points = np.array([[0.0, 299 / 50, 0.01], [0.5, 0.5, 0.5]], np.float32)
-    assert PaintMap(lines).paint(np.zeros((3, 3), np.float32), *points)[:, 0].tolist() == [255.0, 255.0, 0.0]
+    lines = [Line(str(n), ((n / 50, 0), (n / 50, 1)), False, 0.01, color=(1, 0, 0, 1)) for n in range(300)]
+    assert [
+        *PaintMap(lines).paint(np.zeros((3, 3), np.float32), *np.float32([[0, 5.98, 0.01], [0.5] * 3]))[:, 0]
+    ] == [255, 255, 0]
