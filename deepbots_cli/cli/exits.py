@@ -94,6 +94,9 @@ def _exit_code(run: Callable[[], object]) -> int:
 
 
 def _fault(error: Exception) -> int:
+    if isinstance(error.__cause__, KeyboardInterrupt):  # pydantic raises its own error from it
+        terminal.note("interrupted")
+        return INTERRUPTED
     if os.environ.get("DEEPBOTS_DEBUG") == "1":
         raise error
     try:

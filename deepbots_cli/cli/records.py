@@ -165,9 +165,7 @@ def training_text(result: TrainingResult) -> str:
     if result.stop_requested and any(result.run.glob("models/*/best.zip")):  # not before the first checkpoint
         lines.append(f"evaluate the policy with: deepbots eval {shell_word(result.run)}")
     if result.interrupted:
-        lines.append(
-            f"the policy is kept; continue the training with: deepbots resume {shell_word(result.run)}"
-        )
+        lines.append(f"all is kept; continue the training with: deepbots resume {shell_word(result.run)}")
     return "\n".join(lines)
 
 

@@ -411,7 +411,7 @@ def _agent(
         reward=rewards,
         success=(*spec.termination.success, *(spec.truncation.success if spec.truncation else ())),
         goal=goals.goal(rewards),
-        solved=solved(namespace, limits, timestep),
+        solved=solved(namespace, limits, period),
         frame_stack=spec.agent.frame_stack,
         copies=robot_copies,
         scripts=scripts(namespace, action),

@@ -251,7 +251,7 @@ def _report_joined_names(document: Document) -> None:
 # Agents that mirror another one
 
 
-def sections_of_agents(root: MappingNode) -> dict[str, MappingNode]:
+def sections_of_agents(root: Node) -> dict[str, MappingNode]:
     """Return the section of each agent, without `like`."""
     return _Mirrors(Findings(), entries_at(root, AGENTS)).resolved()
 

@@ -716,10 +716,10 @@ def _check_successful(namespace: Namespace, limits: TruncationSpec, name: str) -
 
 
 def success_help(
-    limits: Truncation, timestep: float, instead: str, has_failures: bool, agent: str | None
+    limits: Truncation, period: float, instead: str, has_failures: bool, agent: str | None
 ) -> str:
-    """Return how to define a success of episodes of at most `limits` and a control step of `timestep` s, or
-    to write `instead`; `agent` is one of several agents."""
+    """Return how to define a success of episodes of at most `limits`, with steps of the agent of `period` s,
+    or to write `instead`; `agent` is one of several agents."""
     if agent is not None:
         limit = f"max_time: {{limit: 20 s, success: {agent}}}"
         return (
@@ -727,7 +727,7 @@ def success_help(
             f" return: `{instead}`"
         )
     steps = limits.max_steps
-    seconds = min(limits.max_time or inf, inf if steps is None else steps * timestep)
+    seconds = min(limits.max_time or inf, inf if steps is None else steps * period)
     if has_failures and seconds < inf:
         lasting = f"success: {{lasted: time > {0.95 * seconds:.3g} s}}"
         success = (
@@ -739,9 +739,9 @@ def success_help(
     return f"under `termination`, write {success}; or require a return: `{instead}`"
 
 
-def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved | None:
+def solved(namespace: Namespace, limits: Truncation, period: float) -> Solved | None:
     """Return the criterion by which the training has solved the task, whose episodes end at `limits` and
-    whose control step takes `timestep` s."""
+    have steps of the agent of `period` s."""
     spec = namespace.scenario
     values = namespace.values
     if spec.solved is None:
@@ -753,7 +753,7 @@ def solved(namespace: Namespace, limits: Truncation, timestep: float) -> Solved 
     if not (spec.defines_success or any(map(values.is_invalid, ("success", "termination", "goal")))):
         instead = f"solved: mean_return >= 100 over {episodes} episodes"
         has_failures = bool(spec.termination.failure)
-        help = success_help(limits, timestep, instead, has_failures, namespace.document.agent)
+        help = success_help(limits, period, instead, has_failures, namespace.document.agent)
         values.add("DB407", ("solved",), NO_SUCCESS_DEFINED, help)
     return Solved(episodes, success_rate=threshold)
 

@@ -447,7 +447,7 @@ class _VariantCompiler:
                 until = f"until: mean_return >= 100 over {criterion.episodes} episodes"
                 help = success_help(
                     self._base.truncation,
-                    self._base.world.timestep,
+                    self._base.period,
                     until,
                     bool(spec.termination.failure),
                     self._document.agent,

@@ -166,7 +166,7 @@ def _extract(path: Path, into: Path, remarks: list[str]) -> None:
                     part.startswith((".", "__")) and part != ".." for part in name.parts
                 ):
                     continue
-                if name.is_absolute() or ".." in name.parts or ":" in member.filename:
+                if name.is_absolute() or ".." in name.parts or re.match("[A-Za-z]:", member.filename):
                     raise HandInError(f"the zip has a file outside of it: {member.filename[:80]}")
                 if stat.S_ISLNK(member.external_attr >> 16):
                     remarks.append(f"{name.name} is a symbolic link, which is not followed")
@@ -280,29 +280,34 @@ def _check_part(path: str, part: Node, step: Step) -> None:
         if isinstance(node, ScalarNode):
             texts = (node.text, *map(str, inner))
             words = [word for word in step.forbidden if any(_mentions(text, word) for text in texts)]
-            names = _names(node.text) if step.allowed else ()
-            words += [word for word in names if not {word, word.split(".")[0]} & {*step.allowed}]
+            words += [
+                word
+                for word in (_names(node.text) if step.allowed else ())
+                if not {word, word.split(".")[0]} & {*step.allowed}
+            ]
             if words:
                 raise HandInError(
                     f"`{words[0]}` may not be used in `{path}` ({node.span.location}) in this step"
                 )
         if step.only and isinstance(part, MappingNode) and len(inner) == 1 and inner[0] not in step.only:
-            allowed = ", ".join(f"`{name}`" for name in step.only)
             raise HandInError(
-                f"only {allowed} may stand in `{path}`, not `{inner[0]}` ({node.span.location})"
+                f"only {', '.join(f'`{name}`' for name in step.only)} may stand in `{path}`, not `{inner[0]}`"
+                f" ({node.span.location})"
             )
-        if step.sensors is not None and inner and inner[-1] == "type" and path.endswith("sensors"):
+        if step.sensors is not None and inner[1:] == ("type",) and path.endswith("sensors"):
             kind = node.text if isinstance(node, ScalarNode) else ""
-            if len(inner) == 2 and kind not in step.sensors:
-                allowed = ", ".join(step.sensors)
+            if kind not in step.sensors:
                 raise HandInError(
-                    f"a sensor of type `{kind}` is not allowed ({node.span.location}); allowed: {allowed}"
+                    f"a sensor of type `{kind}` is not allowed ({node.span.location});"
+                    f" allowed: {', '.join(step.sensors)}"
                 )
 
 
 def _mentions(text: str, word: str) -> bool:
     """Return whether an expression or a key uses a name, which may have dots."""
-    return re.search(rf"(?<!\w)(?<!\w\.){re.escape(word)}(?!\w)", text) is not None
+    parsed = _names(text)
+    unparsed = re.search(rf"(?<!\w)(?<!\w\.){re.escape(word)}(?!\w)", text) is not None
+    return any(f"{name}.".startswith(f"{word}.") for name in parsed) if parsed else unparsed
 
 
 def _names(text: str) -> list[str]:
@@ -345,7 +350,11 @@ def write_parts(step_file: StepFile, step: Step, own: Path, folder: Path) -> Non
         text = "{}"
         if isinstance(part, MappingNode) and part.entries:
             above = re.sub(r"[^\n]", " ", part.span.source.text[: part.span.start])
-            text = above + part.span.text
+            # The node of an alias is where its anchor is.
+            has_aliases = not all(
+                part.span.start <= node.span.start < part.span.end for _, node in walk(part)
+            )
+            text = above + (json.dumps(to_data(part), ensure_ascii=False) if has_aliases else part.span.text)
         (folder / HANDED_IN / f"{path}.yaml").write_text(text + "\n", encoding="utf-8")
     for name in step.files:
         content = _content(own / name)

@@ -115,7 +115,7 @@ class UnusableFile:
     def _help_outside(self) -> str:
         project, folder = self.roots[0] if self.roots else None, display_path(self.path.parent)
         ways = [f"add `--allow-path {shell_word(folder)}` to the command"]
-        if project is None or self.through_link:
+        if project is None or self.through_link or project.anchor != self.path.anchor:  # a drive of Windows
             return f"{ways[0]}, or copy the file into {project or 'the project'}"
         if not project.is_relative_to(self.path.parent):
             copied = os.path.relpath(project / self.path.parent.name / self.path.name, self.base)

@@ -11,10 +11,12 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from collections.abc import Mapping as Dictionary
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deepbots_cli.analysis.shown_units import ShownUnits
+from deepbots_cli.compiler.agents import sections_of_agents
 from deepbots_cli.compiler.learner import CHOSEN
 from deepbots_cli.compiler.robots import joint_moves_link
 from deepbots_cli.diagnostics import Finding
@@ -27,8 +29,8 @@ from deepbots_cli.frames import roll_pitch_yaw
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import run_verdict
 from deepbots_cli.learning.sb3.defaults import EffectiveHyperparameter, effective_hyperparameters
-from deepbots_cli.program import Program, identity
-from deepbots_cli.program.resets import OfSensor, RandomizedParameter
+from deepbots_cli.program import SEPARATOR, Program, identity
+from deepbots_cli.program.resets import OfLink, OfSensor, RandomizedParameter
 from deepbots_cli.program.robots import (
     Actuator,
     Cartesian,
@@ -53,7 +55,7 @@ from deepbots_cli.program.world import whole_timesteps
 from deepbots_cli.robots.build import Build
 from deepbots_cli.robots.kinds import judge
 from deepbots_cli.robots.kinematics import box_sides, resting_height, robot_bounds
-from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Link, Mesh, RobotModel, Sphere
+from deepbots_cli.robots.model import Box, Capsule, Cylinder, Geometry, Joint, Mesh, RobotModel, Sphere
 from deepbots_cli.robots.reader import RobotFile
 
 if TYPE_CHECKING:
@@ -65,6 +67,7 @@ Tables = Dictionary[str, Row | list[Row]]
 
 _DIGITS = 6
 """The number of digits of a pose, for um and udeg."""
+_DIRECTIONS = ("to_robot", "from_robot", "between_robots")
 _SENSOR_SETTINGS = (
     *("pose", "align", "grid", "spacing"),
     *("noise", "bias", "drift", "range", "resolution", "period", "latency"),
@@ -181,18 +184,17 @@ def _drawn_mass(scenario: Program, robot: str) -> Row:
 def link_rows(model: RobotModel) -> list[Row]:
     """Return the links of a robot, each with the joint that moves it, its mass and its shapes in m."""
     above = {joint.child: joint.name for joint in model.joints}
-    return [_link(link, above.get(link.name, "")) for link in model.links]
-
-
-def _link(link: Link, joint: str) -> Row:
-    return {
-        "link": link.name,
-        "joint": joint,
-        "mass_kg": link.inertial.mass if link.inertial else None,
-        "collides_as": [_shape(geometry) for geometry in link.collisions],
-        "seen_as": [_shape(geometry) for geometry in link.visuals],
-        "friction": link.friction.lateral,
-    }
+    return [
+        {
+            "link": link.name,
+            "joint": above.get(link.name, ""),
+            "mass_kg": link.inertial.mass if link.inertial else None,
+            "collides_as": [_shape(geometry) for geometry in link.collisions],
+            "seen_as": [_shape(geometry) for geometry in link.visuals],
+            "friction": link.friction.lateral,
+        }
+        for link in model.links
+    ]
 
 
 def _shape(geometry: Geometry) -> str:
@@ -361,7 +363,7 @@ def _commands(scenario: Program, root: Node) -> Tables:
         ],
         "messages": [_message(layout, scenario.format) for layout in _layouts(scenario)],
         "message_fields": [_field(layout, field) for layout in _layouts(scenario) for field in layout.fields],
-        "routes": [row for direction in ("to_robot", "from_robot") for row in _route(root, direction)],
+        "routes": [row for direction in _DIRECTIONS for row in _route(root, direction)],
         "action": [_action(part) for part in scenario.agent.action],
     }
 
@@ -379,9 +381,11 @@ def _ending(scenario: Program, root: Node, name: str) -> Row:
 
 def _course(scenario: Program, root: Node) -> Tables:
     """Return the tables of reward, endings and starts of the episodes, and of the changes between them."""
+    agents = sections_of_agents(root)
     return {
         "reward": [
-            {"term": term.name, "is": text_at(root, "reward", term.name)} for term in scenario.agent.reward
+            {"term": term.name, "is": _own_text(root, agents, "reward", term.name)}
+            for term in scenario.agent.reward
         ],
         "endings": [_ending(scenario, root, ending.name) for ending in scenario.endings],
         "reset": _reset(scenario, root),
@@ -405,34 +409,40 @@ def _course(scenario: Program, root: Node) -> Tables:
             {
                 "script": script.name,
                 "action": part.name,
-                "is": text_at(root, "scripts", script.name, part.name),
+                "is": _own_text(root, agents, "scripts", script.name, part.name),
             }
             for script in scenario.agent.scripts
             for part in scenario.agent.action
+            if not agents or _agent_of(script.name) == _agent_of(part.name)
         ],
     }
 
 
+def _agent_of(name: str) -> str:
+    return name.partition(SEPARATOR)[0]
+
+
+def _own_text(root: Node, agents: Mapping[str, Node], section: str, *names: str) -> str:
+    """Return the text of an entry; the name of one of several agents begins with the agent."""
+    agent = _agent_of(names[0])
+    if agent not in agents or agent == names[0]:
+        return text_at(root, section, *names)
+    return text_at(agents[agent], section, *(name.removeprefix(f"{agent}{SEPARATOR}") for name in names))
+
+
 def _objects(scenario: Program) -> list[Row]:
-    rows: list[Row] = []
-    for body in scenario.world.objects:
-        drawn = {
-            entry.what: _draws(entry) for entry in scenario.reset.variations if entry.of == (body.name, "")
-        }
-        row = {
+    drawn = {(entry.of, entry.what): _draws(entry) for entry in scenario.reset.variations}
+    return [
+        {
             "object": body.name,
             "shape": type(body.shape).__name__.lower(),
-            "mass_kg": drawn.get("mass", body.mass),
+            "mass_kg": drawn.get((OfLink(body.name), "mass"), body.mass),
+            "fixed": body.fixed,
+            "solid": body.solid,
+            "friction": drawn.get((OfLink(body.name), "lateral_friction"), body.friction),
         }
-        rows.append(
-            row
-            | {
-                "fixed": body.fixed,
-                "solid": body.solid,
-                "friction": drawn.get("lateral_friction", body.friction),
-            }
-        )
-    return rows
+        for body in scenario.world.objects
+    ]
 
 
 def _draws(entry: RandomizedParameter) -> str:
@@ -443,21 +453,18 @@ def _draws(entry: RandomizedParameter) -> str:
 
 
 def _parameters(scenario: Program, root: Node) -> list[Row]:
-    often: dict[str, str] = {}
+    how_often = ("in every episode", "repeatedly", "in every step")
+    often: dict[str, int] = {}
     for entry in scenario.parameters:
-        reads = {
-            often.get(leaf.name, "in every episode") for value in entry.scalars for leaf in names_in(value)
-        }
-        is_new = entry.redraw or reads - {"in every episode"}
-        if entry.period:
-            often[entry.name] = "repeatedly"
-        elif is_new:
-            often[entry.name] = "in every step"
-        else:
-            often[entry.name] = "in every episode"
+        reads = [often.get(leaf.name, 0) for value in entry.scalars for leaf in names_in(value)]
+        often[entry.name] = 1 if entry.period else max([2 if entry.redraw else 0, *reads])
     names = entries_at(root, "parameters")
     return [
-        {"parameter": name, "value": text_at(root, "parameters", name), "drawn": often.get(name, "never")}
+        {
+            "parameter": name,
+            "value": text_at(root, "parameters", name),
+            "drawn": how_often[often[name]] if name in often else "never",
+        }
         for name in names
     ]
 
@@ -547,22 +554,22 @@ def poses(environment: Supervisor, links: list[tuple[str, str]]) -> list[Row]:
     rows: list[Row] = []
     for robot, link in links:
         position, orientation = engine.pose(robot, link)()
-        figures = [*position, *map(math.degrees, roll_pitch_yaw(orientation))]
-        columns = zip(("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg"), figures, strict=True)
-        rows.append({"robot": robot, "link": link, **{name: _rounded(value) for name, value in columns}})
+        angles = [_rounded(math.degrees(angle)) for angle in roll_pitch_yaw(orientation)]
+        # Half a turn is 180 deg, regardless of its sign.
+        values = [*map(_rounded, position), *(180.0 if angle == -180.0 else angle for angle in angles)]
+        columns = zip(("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg"), values, strict=True)
+        rows.append({"robot": robot, "link": link, **dict(columns)})
     return rows
 
 
 def _rounded(value: float) -> float:
-    """Round without negative zeros. Half a turn is 180 deg, regardless of its sign."""
-    rounded = round(value, _DIGITS) + 0.0
-    return 180.0 if rounded == -180.0 else rounded
+    """Round without negative zeros."""
+    return round(value, _DIGITS) + 0.0
 
 
 def _layouts(scenario: Program) -> list[MessageLayout]:
-    if scenario.format == "none":
-        return []
-    return [layout for robot in scenario.robots for layout in (robot.to_robot, robot.from_robot)]
+    robots = scenario.robots if scenario.format != "none" else ()
+    return [layout for robot in robots for layout in (robot.to_robot, robot.from_robot)]
 
 
 def _message(layout: MessageLayout, format: str) -> Row:
@@ -616,26 +623,33 @@ def _action(part: Choices | ActionRange) -> Row:
             "high": part.high,
             "unit": part.unit,
         }
-    options = []
-    for option in part.options:
-        values = zip(part.variables, option.values, strict=True)
-        options.append(f"{option.name} ({', '.join(f'{name} = {value:g}' for name, value in values)})")
-    return {"action": part.name, "kind": "choice", "options": " | ".join(options)}
+    options = [
+        (
+            option.name,
+            (f"{name} = {value:g}" for name, value in zip(part.variables, option.values, strict=True)),
+        )
+        for option in part.options
+    ]
+    texts = (f"{name} ({', '.join(values)})" for name, values in options)
+    return {"action": part.name, "kind": "choice", "options": " | ".join(texts)}
 
 
 def _signals(scenario: Program, root: Node) -> list[Row]:
     observed = {entry.full_name.partition(".")[0] for entry in scenario.agent.numbers}
     has_noise = any(entry.noise for entry in scenario.signals)
+    written = partial(_own_text, root, sections_of_agents(root))
     rows: list[Row] = []
     for entry in scenario.signals:
-        augmented = text_at(root, "augment", entry.name, "value") or text_at(root, "augment", entry.name)
-        row: Row = {
-            "signal": entry.name,
-            "components": list(entry.components),
-            "is": augmented or text_at(root, "signals", entry.name),
-        }
-        noise = {"noise": text_at(root, "augment", entry.name, "noise")} if has_noise else {}
-        rows.append({**row, **noise, "policy_may_see_it": bool(augmented) or entry.name in observed})
+        augmented = written("augment", entry.name, "value") or written("augment", entry.name)
+        rows.append(
+            {
+                "signal": entry.name,
+                "components": list(entry.components),
+                "is": augmented or written("signals", entry.name),
+                **({"noise": written("augment", entry.name, "noise")} if has_noise else {}),
+                "policy_may_see_it": bool(augmented) or entry.name in observed,
+            }
+        )
     return rows
 
 
@@ -645,14 +659,18 @@ def _observation(scenario: Program) -> list[Row]:
     remembers = any(ago for _, ago in entries)
     rows: list[Row] = []
     for index, (entry, ago) in enumerate(entries):
-        row: dict[str, object] = {
-            "index": index,
-            "name": entry.full_name,
-            **({"steps_ago": ago} if remembers else {}),
-        }
-        row |= {"low": entry.low, "high": entry.high, "unit": entry.unit}
         bounds = "-1 .. 1" if entry.clip else "-1 .. 1, not clipped"
-        rows.append(row | {"seen_as": "0 or 1" if entry.is_truth else bounds})
+        rows.append(
+            {
+                "index": index,
+                "name": entry.full_name,
+                **({"steps_ago": ago} if remembers else {}),
+                "low": entry.low,
+                "high": entry.high,
+                "unit": entry.unit,
+                "seen_as": "0 or 1" if entry.is_truth else bounds,
+            }
+        )
     images = [(entry.key, _image_size_text(entry, scenario)) for entry in scenario.agent.images]
     return rows + [{"index": None, "name": key, "seen_as": f"{size} of 0 .. 255"} for key, size in images]
 
@@ -715,12 +733,10 @@ def _reset(scenario: Program, root: Node) -> list[Row]:
         if scenario.reset.settle
         else []
     )
-    entries = [
-        (section, name) for section in ("place", "joints") for name in entries_at(root, "reset", section)
-    ]
     return [
         {"reset": section, "of": name, "to": text_at(root, "reset", section, name)}
-        for section, name in entries
+        for section in ("place", "joints")
+        for name in entries_at(root, "reset", section)
     ] + settle
 
 
@@ -789,27 +805,34 @@ def timing(scenario: Program) -> list[Mapping[str, object]]:
     substeps, timestep, repeat = scenario.world.substeps, scenario.world.timestep, scenario.action_repeat
     rows: list[Mapping[str, object]] = []
     for part in scenario.agent.action:
-        routes = [
-            robot.to_route
-            for robot in scenario.robots
-            if {*part.variables} & {entry.name for entry in robot.received}
-        ]
-        ticks = _whole(_slowest(scenario, routes))
-        acts = "varies" if ticks is None else f"{substeps * repeat}n + {substeps * ticks + 1}"
-        age = None if ticks is None else ticks * timestep
+        routes, waits = [], [0.0]
+        for robot in scenario.robots:
+            if {*part.variables} & {entry.name for entry in robot.received}:
+                routes.append(robot.to_route)
+            waits += [
+                _wait(scenario, robot.name, command.actuator)
+                for command in robot.commands
+                if {*part.variables} & {leaf.name for value in command.scalars for leaf in names_in(value)}
+            ]
+        steps = _whole(substeps * _slowest(scenario, routes) + max(waits))
+        acts = "varies" if steps is None else f"{substeps * repeat}n + {steps + 1}"
+        age = None if steps is None else steps * timestep / substeps
         rows.append(
             {"what": "action", "name": part.name, "moment": "acts from", "physics_step": acts, "age_s": age}
         )
-    senders: dict[str, frozenset[str]] = {
-        f"{robot.name}.{entry.name}": frozenset({robot.name})
-        for robot in scenario.robots
-        for entry in robot.emitted
-    }
-    ages = {
-        f"{robot.name}.{name}": age
-        for robot in scenario.robots
-        for name, age in _sent(scenario, robot).items()
-    }
+    senders: dict[str, frozenset[str]] = {}
+    sent: Ages = {}
+    ages: Ages = {}
+    for robot in scenario.robots:
+        made = {f"{robot.name}.{name}": age for name, age in _sent(scenario, robot).items()}
+        senders |= dict.fromkeys(made, frozenset({robot.name}))
+        sent |= made
+        ages |= {name: _slowest(scenario, [robot.from_route]) + age for name, age in made.items()}
+    for link in scenario.links:
+        delay = 1 + _delay(scenario, link.route)
+        heard = {f"{link.receiver}.{value.name}": _oldest(value.scalars, sent) for value in link.values}
+        senders |= dict.fromkeys(heard, frozenset({link.sender}))
+        ages |= {name: delay + age for name, age in heard.items()}
     for signal in scenario.signals:  # in order of evaluation, so what a signal reads is known
         ages[signal.name] = _oldest(signal.scalars, ages)
         senders[signal.name] = _senders(signal.scalars, senders)
@@ -818,12 +841,7 @@ def timing(scenario: Program) -> list[Mapping[str, object]]:
     for name, scalar in observed:
         ticks = _whole(_age(scalar, ages))
         after = 0 if ticks is None else substeps * (repeat - ticks)
-        if after > 0:
-            behind = f" + {after}"
-        elif after:
-            behind = f" - {-after}"
-        else:
-            behind = ""
+        behind = f" {'-' if after < 0 else '+'} {abs(after)}" if after else ""
         rows.append(
             {
                 "what": "observation",
@@ -842,7 +860,7 @@ def _whole(ticks: float) -> int | None:
 
 
 def _sent(scenario: Program, robot: Robot) -> Ages:
-    """Return the ages of the values that a robot sends, when they arrive."""
+    """Return the ages of the values that a robot sends, when it sends them."""
     varied = {
         entry.of.sensor
         for entry in scenario.reset.variations
@@ -851,31 +869,37 @@ def _sent(scenario: Program, robot: Robot) -> Ages:
     sensed = {
         sensor.name: math.inf
         if sensor.name in varied or faults.period > 1
-        else float(_ticks(faults.latency, scenario))
+        else float(whole_timesteps(faults.latency, scenario.world.timestep))
         for sensor in robot.sensors
         for faults in (sensor.faults or NoiseModel(),)
     }
-    route = _slowest(scenario, [robot.from_route])
-    return {entry.name: route + _oldest(entry.scalars, sensed) for entry in robot.emitted}
+    return {entry.name: _oldest(entry.scalars, sensed) for entry in robot.emitted}
+
+
+def _wait(scenario: Program, robot: str, actuator: Actuator) -> float:
+    """Return the physics steps from a command to its effect; infinite if its delay is drawn."""
+    is_drawn = any(
+        entry.of == (robot, actuator.name) and entry.what == "actuator_delay"
+        for entry in scenario.reset.variations
+    )
+    substep = scenario.world.timestep / scenario.world.substeps
+    return math.inf if is_drawn else whole_timesteps(actuator.response.delay, substep)
 
 
 def _slowest(scenario: Program, routes: Iterable[Route]) -> float:
     """Return the ticks of the slowest route, 0 without one; infinite if that varies."""
     if scenario.format == "none":
         return 0
-    late = 1 if scenario.timing == "delayed" else 0
-    ticks = [0.0]
-    for route in routes:
-        latency = route.latency.scalar if route.latency else Const(0.0)
-        if not isinstance(latency, Const) or route.loses or route.range is not None:
-            return math.inf
-        ticks.append(late + _ticks(latency.value, scenario))
-    return max(ticks)
+    late = scenario.timing == "delayed"
+    return max((late + _delay(scenario, route) for route in routes), default=0.0)
 
 
-def _ticks(delay: float, scenario: Program) -> int:
-    """Return the ticks until a value with this `delay` in s has arrived."""
-    return whole_timesteps(delay, scenario.world.timestep)
+def _delay(scenario: Program, route: Route) -> float:
+    """Return the ticks of the latency of a route; infinite if messages are late by chance or may be lost."""
+    latency = route.latency.scalar if route.latency else Const(0.0)
+    if not isinstance(latency, Const) or route.loses or route.range is not None:
+        return math.inf
+    return whole_timesteps(latency.value, scenario.world.timestep)
 
 
 def _oldest(values: Sequence[Scalar], ages: Ages) -> float:

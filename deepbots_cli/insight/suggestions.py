@@ -45,6 +45,10 @@ _AMOUNT = re.compile(
     rf"(times\b|x\b|percent\b|%|(?:{'|'.join(_UNITS)})(?![\w/*^]))"
 )
 """A number with its unit."""
+_TO = re.compile(r"\bto\s+(?:(?:about|around|exactly|just|only|roughly)\s+)?$")
+"""The words before a percentage of the present value."""
+_DIFFERENCES = {"add", "by", "cut", "extend", "extra", "from", "lose", "off", "remove", "subtract", "take"}
+"""The words with which a number with a unit is no new value."""
 _USUAL = ("1.5", "times")
 """The amount of a phrase without one; `shorter` takes `longer` back."""
 _NUMBERS = {"half": "0.5 times", "twice": "2 times", "double": "2 times", "triple": "3 times"} | {
@@ -82,6 +86,7 @@ _LARGER_WORDS = {
 _SMALLER_WORDS = {"shorter", "smaller", "lighter", "slower", "lower", "less", "reduce", "decrease"}
 _LOW = {"light", "slow", "short", "small", "low"}
 """A part that is twice as light has half the mass."""
+_AS_LOW = re.compile(rf"\bas (?:{'|'.join(_LOW)})\b")
 _FRACTIONS = {"third", "quarter", "fifth", "tenth", "hundred", "thousand", "dozen"}
 _OF_OTHER_KEYS = {
     *("wide", "wider", "width", "thick", "thicker", "thin", "thinner", "radius", "diameter", "depth"),
@@ -195,16 +200,21 @@ def _change(phrase: str) -> _Change | None:
         return None
     if unit in _UNITS:
         name, size = _UNITS[unit]
-        return None if is_compared or is_low or asked - {name} else _Change(amount * size, name, rest)
-    if unit in ("%", "percent") and text[: amounts[0].start()].endswith(" to "):
+        is_unclear = is_compared or is_low or asked - {name} or rest & _DIFFERENCES
+        return None if is_unclear else _Change(amount * size, name, rest)
+    if unit in ("%", "percent"):
         amount /= 100
-    elif unit in ("%", "percent"):
-        amount = 1 + (is_larger - is_smaller) * amount / 100 if is_compared else 0.0
-    elif is_larger and amount < 1:
-        amount = 0.0
-    elif amount and (is_low or (is_smaller and amount > 1)):  # `half` is smaller already
+        if not _TO.search(text, 0, amounts[0].start()):
+            amount = 1 + (is_larger - is_smaller) * amount if is_compared else 0.0
+    elif amount and (((is_smaller or is_low) and amount > 1) or _AS_LOW.search(text)):
         amount = 1 / amount
-    return _Change(amount, "", rest) if amount > 0 else None
+    is_contrary = (is_larger and amount < 1) or (is_smaller and amount > 1)
+    return _Change(amount, "", rest) if amount > 0 and not is_contrary else None
+
+
+def _is_named(name: str, words: set[str]) -> bool:
+    """Return whether the words contain a name, of which articles and the like are no part."""
+    return set() < _words(name) - _FILL_WORDS <= words
 
 
 def _words(text: str) -> set[str]:
@@ -218,7 +228,7 @@ def _parts(
     root = checked.document.root
     for robot in (checked.robots or {}).values():
         for link, row in zip(robot.model.links, link_rows(robot.model), strict=True):
-            if _words(link.name) <= words:
+            if _is_named(link.name, words):
                 key = "mass" if "mass" in words | asked or (change and change.unit == "mass") else "scale"
                 path = ("robots", robot.name, "links", link.name, key)
                 node = node_at(root, *path)
@@ -231,7 +241,7 @@ def _parts(
                 )
                 yield Suggestion(text, ".".join(path), value)
         for joint in robot.model.moving_joints:
-            if _words(joint.name) <= words:
+            if _is_named(joint.name, words):
                 yield Suggestion(
                     _joint_text(robot.name, joint), f"robots.{robot.name}.joints.{joint.name}", ""
                 )
@@ -265,8 +275,8 @@ def _parameters(
 ) -> Iterator[Suggestion]:
     """Yield the parameters of one number that are in the phrase, or have the property that is asked for."""
     for name, entry in entries_at(checked.document.root, "parameters").items():
-        node, own = entry.value, _words(name)
-        if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and (own & asked or own <= words):
+        node, is_meant = entry.value, _words(name) & asked or _is_named(name, words)
+        if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and is_meant:
             text = f"`{name}` is a parameter of this scenario: {node.text}."
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
 
@@ -293,7 +303,7 @@ def _multiplied(text: str, factor: float, *, whole: bool = False) -> str:
 def _link_text(robot: str, row: Row, written: str) -> str:
     shapes = row["seen_as"] or row["collides_as"]
     assert isinstance(shapes, list)
-    sizes = f": {', '.join(shapes)} m" if shapes else ""
+    sizes = f": {', '.join(shapes)}{'' if shapes[-1].startswith('mesh ') else ' m'}" if shapes else ""
     mass = f", {row['mass_kg']:.4g} kg" if row["mass_kg"] else ""
     joint = f", on the joint `{row['joint']}`" if row["joint"] else ""
     present = f" The file has `{written}`." if written else ""

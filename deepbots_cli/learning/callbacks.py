@@ -726,7 +726,7 @@ class TrainingCallback:
         """Stop a training that has had no better evaluation for `patience` steps."""
         training = self.active.run.program.agent.training
         improved_at = self.evaluations.improved_at
-        if training is None or training.patience is None or self.best is None or self.stopped_by is not None:
+        if training is None or training.patience is None or self.best is None or self._is_ending:
             return
         if self.active.statistics.steps - improved_at >= training.patience:
             self.stopped_by = PATIENCE

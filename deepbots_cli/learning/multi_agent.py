@@ -386,7 +386,7 @@ def own_model(path: Path, agent: str) -> Iterator[Path]:
         RunError: The file is missing, damaged, or has no model of the agent.
     """
     if not path.is_file():
-        raise RunError(f"{path} is missing")
+        raise RunError(f"{path} is missing; `deepbots resume RUN` continues a training without a model")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / _member(agent)
         try:

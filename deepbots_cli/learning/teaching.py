@@ -263,6 +263,8 @@ def read_recording(path: str | Path, program: Program) -> Recording:
         UsageError: They differ, the file cannot be read or is too long, it is of a case, or several agents
             act in it.
     """
+    if not Path(path).exists():
+        raise UsageError(f"there is no recording {path}; `deepbots play SCENARIO -o {path}` records one")
     recording = Recording.read(Path(path))
     if case := recording.metadata.get("case"):
         raise UsageError(

@@ -357,6 +357,7 @@ def resume(
         asks_for_more = total_timesteps is not None or stop_when_solved is not None
         if record.is_complete(training.total_timesteps, may_stop_early=not asks_for_more):
             ended = " and ended because the task was solved" if record.stopped_as_solved else ""
+            steps = record.result.steps if record.result else steps  # which go on after a checkpoint
             more = "; for the other timesteps, use `--full`" if steps < training.total_timesteps else ""
             raise UsageError(
                 f"the training of {resumed.path} is complete{ended} ({steps:,} of"

@@ -99,21 +99,28 @@ def _removal(context: RuleContext, path: NodePath) -> Fix | None:
 
 def _unused_parts(context: RuleContext) -> Iterator[Finding]:
     """Report unused sensors, actuators and received values of a robot."""
+    # With a `role`, only the program of an agent, which is a variant, commands its robots.
+    variants = (variant.program for variant in context.checked.variants)
+    programs = [context.program, *(program for program in variants if program is not None)]
     subjects = {
         subject.name
-        for value in context.program.computed_expressions
+        for program in programs
+        for value in program.computed_expressions
         for node in walk(value.typed)
         if isinstance(node, Invocation)
         for subject in node.subjects
         if subject.kind in (Kind.SENSOR, Kind.CAMERA)
     }
     for robot in context.program.robots:
+        same = [other for program in programs for other in program.robots if other.name == robot.name]
+        commands = [command for other in same for command in other.commands]
+        emitted = (value for other in same for value in other.emit)
         used = {
             name
-            for value in (*robot.emit, *(command.target for command in robot.commands))
+            for value in (*emitted, *(command.target for command in commands))
             for name in referenced_names(value.typed)
         }
-        driven = {command.actuator.name for command in robot.commands}
+        driven = {command.actuator.name for command in commands}
         unused = [
             (("sensors", sensor.name), "a sensor that nothing uses", "use it, or remove it")
             for sensor in robot.sensors

@@ -373,11 +373,17 @@ class StepStatistics:
         np.maximum(self.greatest, values, out=self.greatest)
 
     def joined(self, other: StepStatistics) -> StepStatistics:
-        """Join the ranges of both. A number that is constant in each, but at different values, then counts as
-        varying."""
+        """Join the ranges of both. A number or a picture that is constant in each, but at different values,
+        then counts as varying."""
         joined = StepStatistics(self._program)
         joined.low, joined.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
+        joined._first = self._first | other._first
         joined._changed = self._changed | other._changed
+        joined._changed |= {
+            key
+            for key in self._first.keys() & other._first.keys()
+            if not np.array_equal(self._first[key], other._first[key])
+        }
         return joined
 
     def varies(self, index: int) -> bool:

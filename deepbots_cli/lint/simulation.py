@@ -579,7 +579,7 @@ def measure(
             is_late = True
         finally:
             process.end()  # also after Ctrl-C
-    report = _read(lines)
+    report = _read(b"".join(lines).splitlines(keepends=True))  # a long line comes in parts
     if not report.done and report.halt is None:
         report.halt = Halt("slow", f"{limits.wall:g} s") if is_late else _halt(code, limits)
     return report

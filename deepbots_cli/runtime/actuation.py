@@ -457,7 +457,8 @@ class Push:
     """Pushes a link now and then, in the axes of the world, in every substep while a push lasts.
 
     A push begins in the first substep at or after its time. A push that ends within a substep acts with the
-    remaining share of its force, so that momentum is force times duration for any substep.
+    remaining share of its force, also where the next one begins in that substep, so that momentum is force
+    times duration for any substep.
     """
 
     def __init__(self, engine: Engine, part: Part, draw: Draw, substep: float) -> None:
@@ -472,7 +473,8 @@ class Push:
 
     def reset(self, first: float, settling: int) -> None:
         """Let the first push begin `first` s into the episode, before which there are `settling` substeps."""
-        self._now = -settling
+        self._now = -settling - 1
+        """The number of the last substep."""
         self._due = first / self._substep - _TIME_TOLERANCE
         self._left = 0.0
         self._last = -inf
@@ -485,18 +487,26 @@ class Push:
         return self._force if self._now - self._last < substeps else ZERO_VECTOR
 
     def _act(self) -> None:
-        if self._now >= self._due:
+        self._now += 1
+        force, torque = self._share()
+        while self._now >= self._due:
             self._force, self._torque, duration, until_next = self._draw()
             self._left = duration / self._substep
             # From the time of this push and not from its substep, so that rounding does not add up.
             self._due += until_next / self._substep
-        self._now += 1
-        left = self._left
-        if left > 0.0:
-            self._last = self._now
-            (x, y, z), (a, b, c), share = self._force, self._torque, min(left, 1.0)
-            self._push((share * x, share * y, share * z), (share * a, share * b, share * c))
-            self._left = left - share
+            further_force, further_torque = self._share()
+            force, torque = frames.add(force, further_force), frames.add(torque, further_torque)
+        if self._last == self._now:
+            self._push(force, torque)
+
+    def _share(self) -> tuple[Triple, Triple]:
+        """Return force and torque of the last push in this substep."""
+        share = min(self._left, 1.0)
+        if share <= _TIME_TOLERANCE:
+            return ZERO_VECTOR, ZERO_VECTOR
+        self._last = self._now
+        self._left -= share
+        return frames.scaled(self._force, share), frames.scaled(self._torque, share)
 
 
 # Controllers

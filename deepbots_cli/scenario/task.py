@@ -390,7 +390,7 @@ class Disturbance(Section):
     """Force in the world frame, N, drawn for each push."""
     torque: Annotated[Scalar, Quantity("torque", 3, "step")] | None = None
     """Torque in the world frame, N*m, drawn for each push."""
-    every: Annotated[Scalar, Quantity("time", known="step", minimum=0, exclusive=True)] | None = None
+    every: Annotated[Scalar, Quantity("time", known="step", minimum=1e-3)] | None = None
     """Time from the beginning of one push to the beginning of the next. It is also the time before the first
     push, unless `at` is given."""
     at: Annotated[Scalar, Quantity("time", known="episode", minimum=0)] | None = None

@@ -32,6 +32,7 @@ from deepbots_cli.learning.runs.verdict import Decline, decline_of, quoted_evalu
 from deepbots_cli.program import Member
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import SourceKind, folder_kind
+from deepbots_cli.words import shell_word
 
 _MAX_ENDINGS = 20
 """The number of endings with a curve of their own."""
@@ -182,7 +183,8 @@ def read_run(path: Path, window: int = 100, member: Member | None = None) -> Tra
     )
     episodes, evaluations = logs_of(path, "" if member is None else member.name)
     if not len(episodes):
-        raise RunError(f"{path} contains no finished episode yet; plot it later")
+        longer = f"or continue it with: deepbots resume {shell_word(path)}"
+        raise RunError(f"{path} contains no finished episode yet; wait for it, {longer}")
     log.stages = stage_starts(record, episodes)
     log.returns = _averaged(episodes, episodes.returns, window, log.stages)
     endings = episodes.endings  # as objects, because each text of numpy would take the memory of the longest

@@ -15,6 +15,8 @@ from collections.abc import Callable
 from functools import partial
 from math import ceil, exp, inf, isclose, pi
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -584,30 +586,18 @@ def test_a_drawn_parameter_may_set_the_force_of_all_pushes_of_an_episode(pushed:
     assert speeds[39][0] == pytest.approx(3 * speeds[19][0], rel=1e-3)
 
 
-class Pushed:
-    """Stands in for an engine: keeps the momentum that it is given, in substeps of 1 s."""
-
-    def __init__(self) -> None:
-        self.momentum = 0.0
-        self.act: Callable[[], object] = lambda: None
-
-    def pusher(self, part: object) -> Callable[..., None]:
-        def push(force: tuple[float, float, float], torque: tuple[float, float, float]) -> None:
-            self.momentum += force[0]
-
-        return push
-
-    def before_substep(self, callback: Callable[[], object]) -> None:
-        self.act = callback
-
-
-def test_pushes_that_end_within_a_substep_lose_nothing_over_many():
-    engine = Pushed()
-    push = Push(engine, ("body", None), lambda: ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.25, 2.1), 1.0)  # type: ignore[arg-type]
+@pytest.mark.parametrize(("duration", "interval"), [(1.25, 2.1), (1.4, 1.4), (0.3, 0.7)])
+def test_pushes_that_end_within_a_substep_lose_nothing_over_many(duration: float, interval: float):
+    forces: list[float] = []
+    acts: list[Callable[[], object]] = []
+    engine: Any = SimpleNamespace(
+        pusher=lambda part: lambda force, torque: forces.append(force[0]), before_substep=acts.append
+    )
+    push = Push(engine, ("body", None), lambda: ((2.0, 0.0, 0.0), (0.0, 0.0, 0.0), duration, interval), 1.0)
     push.reset(0.0, 0)
     for _ in range(2100):
-        engine.act()
-    assert isclose(engine.momentum, 1000 * 2.0 * 1.25, rel_tol=2e-3)
+        acts[0]()
+    assert isclose(sum(forces), 2100 * 2.0 * duration / interval, rel_tol=2e-3)
 
 
 GRAVITY = 9.81

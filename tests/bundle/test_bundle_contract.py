@@ -32,6 +32,7 @@ from hypothesis import strategies as st
 from safetensors.numpy import load
 
 import deepbots_robot
+from deepbots_cli import api
 from deepbots_cli.document import shipped
 from deepbots_cli.errors import UsageError
 from deepbots_cli.insight.export.deploy import DEPLOY_NAME, GRAPH_NAME, deploy_settings, isaac_files
@@ -517,6 +518,28 @@ def test_sensors_of_one_kind_keep_their_numbers_and_the_name_of_the_base_is_for_
     observations = deploy_settings(program)["observations"]
     assert [*observations] == ["dog_foot", "base_ang_vel", "dog_down", "dog_again"]
     assert sum(len(term["scale"]) for term in observations.values()) == len(program.agent.inputs)
+
+
+def test_the_reading_of_a_single_joint_has_the_name_of_a_runner(tmp_path: Path) -> None:
+    (tmp_path / "rail.yaml").write_text(
+        """deepbots: 1
+name: Rail
+world: {timestep: 20 ms}
+robots:
+  rail:
+    urdf: cartpole_rail
+    base: fixed
+    sensors: {at: {type: joint_position, joint: slider}}
+    actuators:
+      servo: {type: position_motor, joint: slider, stiffness: 9 N/m, damping: 1 N*s/m, max_torque: 9 N}
+    apply: {servo: 0.1 m * go}
+action: {go: -1 .. 1}
+observation: {rail.at: -1 .. 1 m}
+reward: {still: 1}
+truncation: {max_steps: 100}
+"""
+    )
+    assert [*deploy_settings(api.compile(tmp_path / "rail.yaml").program)["observations"]] == ["joint_pos"]
 
 
 def test_the_ranges_of_commands_are_those_of_the_training() -> None:

@@ -62,6 +62,13 @@ AGED = changed(
     "observation.gone=-1 .. 1 m",
     "robots.cart.sensors.pole_angle.latency=40 ms",
 )
+TOLD = (
+    "tag",
+    *("--set", "robots.hunter.hear={prey_near: prey.proximity}"),
+    *("--set", "robots.prey.hear={hunter_near: hunter.proximity}"),
+    *("--set", "agents.hunter.observation={hunter.proximity: 0 .. 4095, hunter.prey_near: 0 .. 4095}"),
+    *("--set", "messages.between_robots={latency: 100 ms}"),
+)
 # The tables and the parts of their rows that `inspect --json` shows for these words.
 INSPECTED = [
     (
@@ -134,6 +141,40 @@ INSPECTED = [
             ("timing", {"name": "cart.pole_angle", "physics_step": "varies", "age_s": None}),
             ("routes", {"direction": "to robot", "latency": "40 ms", "loss": ""}),
             ("routes", {"direction": "from robot", "latency": "", "loss": "5 %"}),
+        ],
+    ),
+    (
+        changed("robots.cart.pose={y: -180 m}"),
+        [("poses", {"y_m": -180, "yaw_deg": 0})],
+    ),
+    (
+        changed("robots.cart.actuators.wheels.delay=20 ms"),
+        [("timing", {"name": "drive", "physics_step": "4n + 4", "age_s": 0.024})],
+    ),
+    (
+        changed("robots.cart.actuators.wheels.delay=uniform(0 .. 20 ms)"),
+        [("timing", {"name": "drive", "physics_step": "varies", "age_s": None})],
+    ),
+    (
+        changed("parameters.p1=uniform(1 .. 2) every 2 s", "parameters.p2=2 * p1"),
+        [("parameters", {"parameter": "p2", "drawn": "repeatedly"})],
+    ),
+    (
+        TOLD,
+        [
+            ("timing", {"name": "hunter__hunter.prey_near.ps0", "physics_step": "8n - 8", "by": "prey"}),
+            ("timing", {"name": "prey__prey.hunter_near.ps0", "age_s": 0.256, "by": "hunter"}),
+            ("reward", {"term": "prey__farther", "is": "10 * delta(apart) / m"}),
+            ("signals", {"signal": "prey__angle", "is": "bearing(prey, hunter)"}),
+            ("signals", {"signal": "apart", "is": "clearance(hunter, prey)"}),
+            (
+                "scripts",
+                {
+                    "script": "prey__stroll",
+                    "action": "prey__gas",
+                    "is": "0 if max(prey.proximity) > 150 else 0.6",
+                },
+            ),
         ],
     ),
     (

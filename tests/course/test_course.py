@@ -27,6 +27,7 @@ from deepbots_cli.course import grading
 from deepbots_cli.course.copies import Weights, without_copies
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
+from deepbots_cli.course.hand_ins import _mentions as mentions
 from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
 from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right, unfinished
 from deepbots_cli.course.proof import CHEATS, prove
@@ -148,8 +149,8 @@ def test_a_finding_names_the_line_of_the_student(lesson: Lesson, tmp_path: Path)
 def test_a_failed_test_says_what_the_robot_of_the_student_did(
     lesson: Lesson, tmp_path: Path, step: str, text: str, reason: str
 ) -> None:
-    put(tmp_path / "own", **{step: text})
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work", takes_unchanged=True).mark(step)
+    own = put(tmp_path / "own", **{step: text})
+    mark = Marker(lesson, own, tmp_path / "work", takes_unchanged=True).mark(step)
     assert mark.checks[0].reason.startswith(reason)
 
 
@@ -181,8 +182,8 @@ def test_a_failed_test_says_what_the_robot_of_the_student_did(
 def test_a_part_that_no_part_may_be_earns_nothing(
     lesson: Lesson, tmp_path: Path, step: str, text: str | None, reason: str
 ) -> None:
-    put(tmp_path / "own", **({} if text is None else {step: text}))
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark(step)
+    own = put(tmp_path / "own", **({} if text is None else {step: text}))
+    mark = Marker(lesson, own, tmp_path / "work").mark(step)
     assert mark.points == 0
     assert reason in mark.checks[0].reason
 
@@ -201,6 +202,26 @@ def test_a_lesson_may_name_what_its_parts_use(lesson: Lesson, tmp_path: Path) ->
     assert earned == {"delta(x)": (3, ""), "ground_distance(cart, cart)": (0, "`ground_distance`")}
 
 
+@pytest.mark.parametrize(
+    ("text", "word", "is_used"),
+    [
+        ("velocity(car).x", "x", False),
+        ("cart.tip.angle", "cart.angle", False),
+        ("stepped", "step", False),
+        ("2 * cart . angle", "cart.angle", True),
+        ("cart.angle", "cart", True),
+        ("reached: x > 1 m", "x", True),
+    ],
+)
+def test_a_forbidden_name_is_one_that_the_parser_finds(text: str, word: str, is_used: bool) -> None:
+    assert mentions(text, word) == is_used
+
+
+def test_a_part_may_use_an_alias(lesson: Lesson, tmp_path: Path) -> None:
+    text = STEP.replace("name: Own", "name: &way delta(x) / m").replace("%s * delta(x) / m", "*way")
+    assert Marker(lesson, put(tmp_path / "own", mend=text), tmp_path / "work").mark("mend").points == 3
+
+
 def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Path) -> None:
     text = SENSE.replace("name: Own", "extends: cartpole\nname: Own") % "{}"
     put(tmp_path / "own", sense=text + "    angle: {type: joint_position, joint: pole_hinge}\n")
@@ -212,8 +233,8 @@ def test_a_key_that_is_indented_too_little_is_named(lesson: Lesson, tmp_path: Pa
 def test_a_world_that_is_not_handed_in_is_no_mistake_of_an_unchanged_file(
     lesson: Lesson, tmp_path: Path
 ) -> None:
-    put(tmp_path / "own", sense=SENSE.replace("name: Own", "extends: world.yaml\nname: Own") % "{}")
-    mark = Marker(lesson, tmp_path / "own", tmp_path / "work").mark("sense")
+    own = put(tmp_path / "own", sense=SENSE.replace("name: Own", "extends: world.yaml\nname: Own") % "{}")
+    mark = Marker(lesson, own, tmp_path / "work").mark("sense")
     assert {check.reason for check in mark.checks} == {"not changed yet"}
 
 
@@ -317,12 +338,13 @@ def test_a_zip_with_a_folder_around_and_a_link(lesson: Lesson, tmp_path: Path) -
         "ada/mend.yaml": STEP_BYTES,
         "ada/sense.yaml": b"/etc/passwd",
         "ada/run.py": b"1",
+        "ada/notes 10:30.png": b"",
         "__MACOSX/a": b"",
     }
     path = archive(tmp_path / "ada.zip", members, link="ada/sense.yaml")
     (tmp_path / "into").mkdir()
     files, remarks = collect(path, tmp_path / "into", lesson)
-    assert sorted(file.name for file in files.iterdir()) == ["mend.yaml", "run.py"]
+    assert sorted(file.name for file in files.iterdir()) == ["mend.yaml", "notes 10:30.png", "run.py"]
     assert remarks[:2] == (
         "sense.yaml is a symbolic link, which is not followed",
         "run.py: programs are not run, so they have no effect",
@@ -901,9 +923,9 @@ def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     started = deepbots("course", "start", "reward", "own")
     text = (tmp_path / "own" / "README.md").read_text(encoding="utf-8")
     assert "in own; its text is README.md\n" in started.out
-    assert started.err.split("\n  ")[1:] == ["cd own", "deepbots course check\n"]
+    assert started.err.endswith("\n  cd own\n  deepbots studio mend.yaml --open\n  deepbots course check\n")
     assert "](.." not in text
-    assert "What is reinforcement learning?, explains" in text
+    assert "What is reinforcement learning? (`docs" in text
 
 
 @pytest.mark.slow

@@ -15,8 +15,8 @@ import json
 import os
 import tracemalloc
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
+from pathlib import Path, PureWindowsPath
+from typing import Any, cast
 
 import pytest
 import yaml
@@ -458,6 +458,11 @@ def test_shipped_files_may_be_read_from_anywhere(tmp_path: Path) -> None:
         resolve_reference(str(shipped.data_dir() / "pyproject.toml"), tmp_path, shipped.data_roots()),
         UnusableFile,
     )
+
+
+def test_a_file_on_another_drive_of_windows_is_outside() -> None:
+    project, other = cast(list[Path], [PureWindowsPath("C:/project"), PureWindowsPath("D:/arm.urdf")])
+    assert "or copy the file into C:" in UnusableFile("outside", "D:/arm.urdf", other, (project,)).help
 
 
 @pytest.mark.parametrize("name", ["../x", "", "a/b", "x" * 10_000, "a\0", "nothing-like-it"])

@@ -15,10 +15,11 @@ import pytest
 pytest.importorskip("pybullet")
 
 from deepbots_cli.engines import create
+from deepbots_cli.engines.pybullet.surfaces import PaintMap
 from deepbots_cli.errors import EngineError
 from deepbots_cli.geometry import mesh_triangles
 from deepbots_cli.port import View
-from deepbots_cli.program.world import Ground, ObjectBody, RobotBody, WorldModel
+from deepbots_cli.program.world import Ground, Line, ObjectBody, RobotBody, WorldModel
 from deepbots_cli.robots.model import (
     Inertial,
     Joint,
@@ -153,13 +154,22 @@ def test_a_picture_shows_bodies_before_floor_and_sky(worlds, build):
     assert engine.render(replace(view, samples=1)).shape == (80, 120, 3)
 
 
-def test_looking_straight_down_and_from_below_gives_pictures_too(worlds, build):
-    engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
-    for eye in ((0.0, 0.0, 2.0), (0.3, 0.2, -1.0)):
-        assert engine.render(View(eye, (0.0, 0.0, 0.0), 40, 40)).shape == (40, 40, 3)
-
-
 @pytest.mark.filterwarnings("error")
-def test_a_floor_far_below_a_camera_gives_no_warning(worlds, build):
+@pytest.mark.parametrize(
+    ("eye", "target"),
+    [
+        ((0.0, 0.0, 2.0), (0.0, 0.0, 0.0)),  # straight down
+        ((0.3, 0.2, -1.0), (0.0, 0.0, 0.0)),  # from below
+        ((0.0, 0.0, 1e9), (1.0, 0.0, 1e9)),  # far above the floor
+    ],
+)
+def test_unusual_views_give_pictures_without_a_warning(worlds, build, eye, target):
     engine = build("pybullet", replace(worlds.arena(), ground=Ground()))
-    assert engine.render(View((0.0, 0.0, 1e9), (1.0, 0.0, 1e9), 4, 4)).shape == (4, 4, 3)
+    assert engine.render(View(eye, target, 40, 40)).shape == (40, 40, 3)
+
+
+def test_each_of_many_painted_lines_is_in_a_picture():
+    lines = [Line(str(n), ((n / 50, 0), (n / 50, 1)), False, 0.01, color=(1, 0, 0, 1)) for n in range(300)]
+    assert [
+        *PaintMap(lines).paint(np.zeros((3, 3), np.float32), *np.float32([[0, 5.98, 0.01], [0.5] * 3]))[:, 0]
+    ] == [255, 255, 0]

@@ -755,24 +755,25 @@ def test_a_training_resumed_after_a_solved_task_evaluates_again_and_keeps_a_bett
     assert again.confirmed_seed is None  # no confirmation ended it, so its verdict comes from an evaluation
 
 
-@pytest.mark.slow
-def test_a_training_that_does_not_get_better_ends_after_its_patience(tmp_path: Path) -> None:
-    build = Worlds(lambda number: (1.0, number == 0), choice=good)
+@pytest.mark.parametrize("score", [poor, lambda number: (1.0, number == 0)])
+def test_a_training_whose_evaluations_get_no_better_ends_after_its_patience(
+    tmp_path: Path, score: Score
+) -> None:
     notes = Notes()
-    training = Training("PPO", 30_000, 2, hyper(n_steps=32), patience=1_000)
+    training = Training("PPO", 6_000, 2, hyper(n_steps=32), patience=1_000)
     task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=6)
-    result = train(task, runs=tmp_path, build=build, progress=notes)
+    result = train(task, runs=tmp_path, build=Worlds(score, choice=poor), progress=notes)
     assert result.stopped_by == PATIENCE
-    assert 1_000 <= result.steps < 10_000
+    assert 1_000 <= result.steps < 5_000
     assert any("`patience: 1000`" in note for note in notes.notes)
 
 
-def test_a_training_whose_evaluations_stay_equal_ends_after_its_patience(tmp_path: Path) -> None:
-    training = Training("PPO", 6_000, 2, hyper(n_steps=32), patience=1_000)
-    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=6)
-    result = train(task, runs=tmp_path, build=Worlds(poor, choice=poor))
-    assert result.stopped_by == PATIENCE
-    assert result.steps < 5_000
+def test_a_training_whose_task_is_solved_has_not_lost_its_patience(tmp_path: Path) -> None:
+    # Equal evaluations are no better.
+    training = Training("DQN", 6_000, 1, hyper(learning_starts=10, train_freq=100, batch_size=8), patience=1)
+    task = stand_in.compiled(training=training, solved=SUCCESS, success=True, max_steps=50)
+    result = train(task, runs=tmp_path, build=Worlds(good, confirmation=good, choice=good))
+    assert (result.confirmed_seed is not None, result.stopped_by) == (True, None)
 
 
 def test_a_training_ends_after_the_evaluation_at_which_it_is_stopped(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from deepbots_cli import api
+from deepbots_cli import api, processes
 from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Finding
 from deepbots_cli.document import Permissions, shipped
@@ -72,26 +72,35 @@ def only_finding(probed: SimulationFindings) -> Finding:
     return finding
 
 
-def test_a_crash_of_the_engine_is_a_finding_that_names_the_step(checked) -> None:
-    finding = only_finding(simulate(checked("crash"), limits=TIGHT))
-    assert (finding.code, finding.span.text, finding.headline) == (
-        "DB309",
-        "cart",
-        "the physics engine crashes (SIGSEGV)",
-    )
-    assert "in step 1 (0.032 s) of the episode with seed 0 (random actions)" in finding.notes
-
-
-def test_a_step_that_does_not_come_back_is_a_finding(checked) -> None:
-    finding = only_finding(simulate(checked("hang"), limits=TIGHT))
-    assert finding.headline == "a step does not return within 1 s of CPU time"
-    assert finding.notes[0].startswith("in step 3 ")
-
-
-@pytest.mark.slow
-def test_a_lack_of_memory_is_a_finding(checked) -> None:
-    finding = only_finding(simulate(checked("hoard"), limits=TIGHT))
-    assert (finding.code, finding.headline) == ("DB309", "the simulation needs more memory than 4096 MiB")
+@pytest.mark.parametrize(
+    ("function", "code", "place", "headline", "note"),
+    [
+        (
+            "crash",
+            "DB309",
+            "cart",
+            "the physics engine crashes (SIGSEGV)",
+            "in step 1 (0.032 s) of the episode with seed 0 (random actions)",
+        ),
+        ("hang", "DB309", "cart", "a step does not return within 1 s of CPU time", "in step 3 "),
+        pytest.param(
+            "hoard",
+            "DB309",
+            "cart",
+            "the simulation needs more memory than 4096 MiB",
+            "",
+            marks=pytest.mark.slow,
+        ),
+        ("fail", "DB707", "hostile:fail", "", "ZeroDivisionError"),
+    ],
+)
+def test_a_step_that_goes_wrong_is_a_finding_at_its_place(
+    checked, function, code, place, headline, note
+) -> None:
+    finding = only_finding(simulate(checked(function), limits=TIGHT))
+    assert (finding.code, finding.span.text) == (code, place)
+    assert headline in finding.headline
+    assert any(note in text for text in finding.notes)
 
 
 def test_a_world_that_does_not_fit_into_the_memory_is_a_finding(checked) -> None:
@@ -110,18 +119,17 @@ def test_a_slow_scenario_has_no_finding_but_a_note(checked) -> None:
     assert (probed.findings, probed.incomplete) == ([], "while the world was built, after 0.01 s")
 
 
-def test_a_function_that_fails_is_a_finding_at_its_term(checked) -> None:
-    finding = only_finding(simulate(checked("fail"), limits=TIGHT))
-    assert (finding.code, finding.span.text) == ("DB707", "hostile:fail")
-    assert "ZeroDivisionError" in finding.notes[1]
-
-
 def test_an_exception_of_deepbots_in_the_process_is_reported_with_its_place(checked) -> None:
     """Here the process is given an empty scenario, which does not compile."""
     inputs = checked().inputs
     report = measure(replace(inputs, document=replace(inputs.document, root=None)), TIGHT)
     assert report.fault is not None
     assert re.match(r"\w+Error: .+ \(deepbots_cli\.[\w.]+:\d+\)$", report.fault.description)
+
+
+def test_a_measurement_that_comes_in_parts_is_read(checked, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, "_MAX_LINE_BYTES", 100)
+    assert measure(checked().inputs, TIGHT).summary.measured
 
 
 @pytest.mark.slow

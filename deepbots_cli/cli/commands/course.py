@@ -147,7 +147,11 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
         f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}{text}\n",
         table(rows, is_prose=True),
         as_json=as_json,
-        next_commands=[f"cd {shell_word(folder)}", "deepbots course check"],
+        next_commands=[
+            f"cd {shell_word(folder)}",
+            f"deepbots studio {next(iter(lesson.steps))}.yaml --open",
+            "deepbots course check",
+        ],
     )
 
 

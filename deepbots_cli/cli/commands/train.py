@@ -153,7 +153,9 @@ def command(
     progress = not quiet
     scenario = _checked_options(scenario, run)
     listed = None if seeds is None else seed_list(seeds)
-    is_recorded = teacher is not None and (teacher.endswith(RECORDING_SUFFIX) or Path(teacher).exists())
+    is_recorded = teacher is not None and (
+        teacher.endswith(RECORDING_SUFFIX) or "/" in teacher or Path(teacher).exists()
+    )
     changed = [
         *with_engine(overrides, engine),
         *([] if teacher is None or is_recorded else [f"train.teacher={teacher}"]),
@@ -495,9 +497,24 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         try:
             _evaluate_cases(trained, permissions, cases)
         finally:  # after an interruption, the run keeps the cases that are finished
-            evaluated = records.evaluation_json(evaluation, cases)
             if evaluation.confirmation is None or cases:
-                records.write_evaluation(trained, evaluated)
+                records.write_evaluation(trained, records.evaluation_json(evaluation, cases))
+        _show_trained(
+            trained, result, evaluation, cases, quiet=quiet, as_json=as_json, permissions=permissions
+        )
+
+
+def _show_trained(
+    trained: Run,
+    result: TrainingResult,
+    evaluation: EvaluationResult,
+    cases: Sequence[EvaluationResult],
+    *,
+    quiet: bool,
+    as_json: bool,
+    permissions: Permissions,
+) -> None:
+    """Show a training with its evaluation, its most likely cause of failure and the next commands."""
     verdict = run_verdict(trained.path, trained.record)
     run = shell_word(result.run)
     longer = f"--timesteps {report.longer_goal(max(result.steps, result.total_timesteps)):_}"
@@ -511,9 +528,13 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         further = [f"deepbots eval {run} --details", *further[1:]]
     if causes:
         further = [*filter(None, (f"deepbots diagnose {run}", causes[0].command))]
+    from deepbots_cli.course.grading import started_in
+
+    if started_in(Path()) is not None:
+        further.insert(0, "deepbots course check")
     data = {
         "training": result,
-        "evaluation": evaluated,
+        "evaluation": records.evaluation_json(evaluation, cases),
         "solved": verdict.solved,
         "decline": None if fall is None else fall.as_json(),
         "cause": causes[0].as_json() if causes else None,

@@ -179,7 +179,7 @@ def _finish(driven: DrivenEpisodes) -> None:
     if driven.is_full:
         terminal.note(driven.note)
     if not driven.ends:
-        terminal.note(f"{driven.path} was not written: you drove no episode from its reset to its end")
+        terminal.note(f"{driven.path} was not written: drive at least one episode from its reset to its end")
         return
     driven.save()
     program = driven.player.program

@@ -209,7 +209,7 @@ def _term_name(
         return None
     (sensor,) = sensors_read.values()
     shifts = [shift for _, shift in pairs]
-    if [leaf.component for leaf, _ in pairs if leaf is not None] != [*sensor.components]:
+    if [leaf.component for leaf, _ in pairs if leaf is not None] != [*(sensor.components or (None,))]:
         return None
     if sensor.kind == "joint_position" and any(shifts):
         is_of_pose = np.allclose(shifts, offset, rtol=0.0, atol=_ROUNDING)

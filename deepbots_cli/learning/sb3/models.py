@@ -209,7 +209,7 @@ def _variables(model: BaseAlgorithm) -> Iterator[tuple[str, torch.Tensor]]:
 def _read(path: Path, limit: int) -> dict[str, Mapping[str, Any]]:
     """Return the state dictionaries of a model file, by part."""
     if not path.is_file():
-        raise RunError(f"{path} is missing")
+        raise RunError(f"{path} is missing; `deepbots resume RUN` continues a training without a model")
     if path.stat().st_size > limit:
         raise RunError(f"{path} is larger than the scenario's policy can be")
     tensors = {}
