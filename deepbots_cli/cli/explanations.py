@@ -363,14 +363,11 @@ def _explained_in(part: type[Section] | Kinds, mark: str, word: str) -> Iterator
 def _kind_lines(kinds: Kinds, name: str) -> Iterator[str]:
     yield section_description(kinds.models[name])
     model = kinds.models[name]
-    keys = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
-    required_keys, optional_keys = (
-        [key for key, required in keys.items() if required is is_required] for is_required in (True, False)
-    )
-    if required_keys:
-        yield f"Required keys: {', '.join(required_keys)}."
-    if optional_keys:
-        yield f"Optional keys: {', '.join(optional_keys)}."
+    fields = {key: info.is_required() for key, info in model.model_fields.items() if key != kinds.key}
+    for heading, is_required in (("Required keys:", True), ("Optional keys:", False)):
+        keys = [key for key, required in fields.items() if required is is_required]
+        yield from [heading] if keys else []
+        yield from (f"- {key}: {key_description(model, key)}" for key in keys)
 
 
 def _keys_below(shape: Shape) -> str:

@@ -247,7 +247,7 @@ class Marker:
             place = ":{}:{}".format(*(value or finding).span.start_position)
         else:
             span = (test or finding).span
-            place = " lacks what the test needs ({}/{}:{})".format(
+            place = " does not fit a test of the teacher ({}/{}:{})".format(
                 *Path(span.source.name).parts[-2:], span.start_position.line
             )
         help = f"; {finding.help}" if finding.help else ""

@@ -609,7 +609,7 @@ def _require_shape(
     if components == ANY_SHAPE or shape is None or shape == components or _is_part(shape, components):
         return
     if components is None:
-        functions = "`any` or `all`" if value.type.boolean else "`norm`, `sum`, `max` ..."
+        functions = "`any` or `all`" if value.type.boolean else "`min`, `max`, `norm` ..."
         help = f"pick a component, such as `.{shape[0]}`, or reduce the vector with {functions}"
         raise report_at(
             report,

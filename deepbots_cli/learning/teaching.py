@@ -264,7 +264,9 @@ def read_recording(path: str | Path, program: Program) -> Recording:
             act in it.
     """
     if not Path(path).exists():
-        raise UsageError(f"there is no recording {path}; `deepbots play SCENARIO -o {path}` records one")
+        raise UsageError(
+            f"there is no recording {path}; `deepbots play SCENARIO -o {shell_word(path)}` records one"
+        )
     recording = Recording.read(Path(path))
     if case := recording.metadata.get("case"):
         raise UsageError(

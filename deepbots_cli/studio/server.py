@@ -195,7 +195,8 @@ def _lock(session: Session, address: str) -> AbstractContextManager[object]:
         (state / _OWNER_NAME).write_text(f"{address} (process {os.getpid()})", encoding="utf-8")
     except Timeout:
         raise UsageError(
-            f"another studio shows {session.folder}: {_owner(state)}; use its page, or end it first"
+            f"another studio shows {session.folder}: {_owner(state)}; open the address with the token that it"
+            " printed, or end it first"
         ) from None
     except OSError:  # in a folder that cannot be written, nothing can be lost
         return nullcontext()

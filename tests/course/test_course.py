@@ -141,7 +141,7 @@ def test_a_finding_names_the_line_of_the_student(lesson: Lesson, tmp_path: Path)
         (
             "sense",
             SENSE % SENSOR.replace("angle", "angel"),
-            "sense.yaml lacks what the test needs (checks/sense.yaml:8): unknown name `cart.angle` (DB402);"
+            "sense.yaml does not fit a test of the teacher (checks/sense.yaml:8): unknown name `cart.angle` (DB402);"
             " did you mean `cart.angel`?",
         ),
     ],

@@ -664,7 +664,7 @@ def test_a_recording_that_does_not_fit_is_refused_before_a_run_is_made(tmp_path:
     ):
         with pytest.raises(UsageError, match=message):
             train(scenario, run=tmp_path / "run", total_timesteps=1000, demonstrations=path)
-    with pytest.raises(UsageError, match="cannot be read"):
+    with pytest.raises(UsageError, match="there is no recording"):
         train("cartpole", run=tmp_path / "run", total_timesteps=1000, demonstrations=tmp_path / "none.mcap")
     assert not (tmp_path / "run").exists()
 

@@ -438,7 +438,8 @@ def test_a_second_studio_of_a_folder_names_the_first(folder):
         studio(folder)
     address = first.address.partition("?")[0]
     assert str(refusal.value) == (
-        f"another studio shows {folder}: {address} (process {os.getpid()}); use its page, or end it first"
+        f"another studio shows {folder}: {address} (process {os.getpid()}); open the address with the token"
+        " that it printed, or end it first"
     )
 
 

@@ -270,6 +270,7 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
         "set": short_settings(changed_settings(RunRecord.read(group.evaluations[0].run).command)),
         "runs": len(group.evaluations),
         **records.scores(group, success_defined=success_defined),
+        "mean_length": fmean(result.mean_length for result in group.evaluations),
         "interquartile_mean": group.interquartile_mean if len(group.evaluations) > 1 else None,
         "solved_after_steps": f"{fmean(solved):,.0f}{count}" if solved else None,
     }

@@ -132,7 +132,8 @@ def _suppression(rule: Rule) -> Iterator[str]:
 def _wrapped(text: str) -> str:
     if text.startswith(" "):
         return text  # the text is part of an example
-    return fill(text, _width(), break_long_words=False, break_on_hyphens=False)
+    indent = "  " if text.startswith("- ") else ""
+    return fill(text, _width(), subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
 def _width() -> int:

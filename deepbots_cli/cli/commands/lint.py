@@ -198,7 +198,7 @@ def command(
     else:
         findings = findings_of(names, look, jobs)
     selected = [*selection.inactive_rules(), *filter(selection.selects, findings)]
-    if diff and selected and not changes:
+    if (fix or diff) and selected and not changes:
         _explain_empty_diff([] if unsafe_fixes else selected)
     if statistics:
         _show_statistics(selected, as_json=format_ is Format.json)
