@@ -1,9 +1,11 @@
 """Policies that two students of a class handed in, also under the names of other steps or with weights that
 were changed a little.
 
-The weights are read as numbers, without the pickle beside them. A policy is compared with every model of the
-other students by a sketch of its weights, 64 sums with random signs: the distance of two sketches is that of
-the weights, to about a fifth (M. Charikar et al., Theor. Comput. Sci. 312, 2004, p. 3).
+A policy is compared with every model of the other students, by two sketches. The weights are read as numbers,
+without the pickle beside them, and 64 sums of them with random signs are kept: the distance of two such
+sketches is that of the weights, to about a fifth (M. Charikar et al., Theor. Comput. Sci. 312, 2004, p. 3). What
+the network answers to random observations is the same for neurons in another order and for other bytes beside
+them.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.course.lessons import Lesson, Step
+from deepbots_cli.errors import DeepbotsError
 from deepbots_cli.records import dataclass
 from deepbots_cli.words import sentence_list
 
@@ -38,22 +41,29 @@ _NEAR = 0.01
 
 @dataclass(frozen=True)
 class Weights:
-    """The weights of a model. `place` is the name of its run with its file, `size` is in bytes, and `sketch`
-    are sums of weights with random signs."""
+    """The weights of a model. `place` is the name of its run with its file, `size` is in bytes, `sketch` are
+    sums of weights with random signs, and `answers` are those of its network to random observations, none for
+    a network of another form."""
 
     place: str
     size: int
     sketch: tuple[float, ...]
+    answers: tuple[float, ...] = ()
 
     def is_near(self, other: Weights) -> bool:
-        norm, distance = math.hypot(*self.sketch), math.dist(self.sketch, other.sketch)
-        return self.size == other.size and norm > 0 and distance <= _NEAR * norm
+        has_near_weights = self.size == other.size and _are_near(self.sketch, other.sketch)
+        return has_near_weights or _are_near(self.answers, other.answers)
+
+
+def _are_near(some: Sequence[float], others: Sequence[float]) -> bool:
+    norm = math.hypot(*some)
+    return norm > 0 and len(some) == len(others) and math.dist(some, others) <= _NEAR * norm
 
 
 def weights_of(folder: Path, models: Sequence[Path]) -> list[Weights]:
     """Return the weights of models in the folder of runs; those of damaged files are left out."""
     return [
-        Weights(path.relative_to(folder).as_posix().replace("/models/agent/", "/"), *sketch)
+        Weights(path.relative_to(folder).as_posix().replace("/models/agent/", "/"), *sketch, _answers(path))
         for path in models[:_MAX_MODELS]
         if (sketch := _sketch(path)) is not None
     ]
@@ -82,6 +92,28 @@ def _sketch(model: Path) -> tuple[int, tuple[float, ...]] | None:
     signs = np.random.default_rng(0).integers(0, 2, weights.size) * 2 - 1
     signed = np.resize(np.nan_to_num(weights) * signs, (-(-weights.size // _SUMS), _SUMS))
     return len(numbers), tuple(signed.sum(axis=0).tolist())
+
+
+def _answers(model: Path) -> tuple[float, ...]:
+    """Return what the network of a policy answers to random observations: the values of ranges, or by how much
+    it prefers each option."""
+    import gymnasium as gym
+    import numpy as np
+
+    from deepbots_cli.learning.policy import loaded
+    from deepbots_cli.learning.runs.run import Run
+    from deepbots_cli.learning.sb3.networks import random_answers
+
+    try:
+        learner: Any = loaded(Run.open(model.parents[2]), model.stem)
+        answers = random_answers(learner.model.policy, _SUMS)
+    except (DeepbotsError, AttributeError, ValueError):  # a damaged run, or an algorithm of a plug-in
+        return ()
+    if answers is None:
+        return ()
+    if not isinstance(learner.model.action_space, gym.spaces.Box):
+        answers -= answers.mean(axis=1, keepdims=True)  # only differences of logits count
+    return tuple((answers / (np.linalg.norm(answers) or 1.0)).ravel().tolist())
 
 
 def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:

@@ -17,7 +17,8 @@ from deepbots_cli.learning.runs.run import Run, steps_of
 from deepbots_cli.learning.sb3.algorithms import torch_settings
 
 _TOLERANCE = 0.01
-"""The relative difference of returns on machines of two kinds. On one machine, returns are equal."""
+"""The relative difference of returns and lengths on machines of two kinds. On one machine, they are equal. The
+returns of a reward for progress are almost those of any other policy, but the lengths are not."""
 
 
 def unexplained(run: Run) -> str:
@@ -32,8 +33,12 @@ def unexplained(run: Run) -> str:
         episodes = evaluator.evaluate(
             load_model(run, "best"), run.program.variant(None, stage), Interruption(), stage
         )
-    pairs = zip(evaluations[-1]["returns"], (episode.total_return for episode in episodes), strict=False)
-    same = sum(math.isclose(*pair, rel_tol=_TOLERANCE, abs_tol=1e-3) for pair in pairs)
+    recorded = zip(evaluations[-1]["returns"], evaluations[-1]["lengths"], strict=False)
+    same = sum(
+        math.isclose(episode.total_return, total, rel_tol=_TOLERANCE, abs_tol=1e-3)
+        and math.isclose(episode.length, length, rel_tol=_TOLERANCE, abs_tol=1)
+        for episode, (total, length) in zip(episodes, recorded, strict=False)
+    )
     if 2 * same >= len(episodes):  # a robot in contact may do anything else
         return ""
     return f"only {same} of {len(episodes)} episodes of its evaluation after {steps:,} steps repeat"

@@ -241,6 +241,9 @@ def _mark_one(
             for work in works.values():
                 work.mkdir(parents=True)
             files, remarks = collect(path, folder, lesson)
+            started = started_in(files)
+            if started is not None and lesson.is_shipped and started.reference != lesson.name:
+                remarks = (f"it was started as the lesson `{started.reference[:40]}`", *remarks)
         except Exception as error:  # noqa: BLE001 - libraries raise anything for damaged archives
             is_clear = isinstance(error, UsageError | OSError)
             reason = str(error) if is_clear else f"it is damaged ({type(error).__name__})"

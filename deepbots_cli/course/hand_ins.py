@@ -46,7 +46,7 @@ _CHUNK = 2**20
 _MAX_LINKS = 3
 """The number of links of a hand-in that are named."""
 _MAX_FILE_BYTES = 2**20
-_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs")
+_OWN = (ANSWERS_NAME, "README.md", "course.json", "runs", "exploits")
 """What a student has beside the files of the exercise."""
 
 
@@ -81,7 +81,7 @@ def collect(path: Path, into: Path, lesson: Lesson) -> tuple[Path, tuple[str, ..
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             raise StorageError(unwritable_message(into, error)) from None
         raise HandInError(f"it cannot be read: {(error.strerror or type(error).__name__).lower()}") from None
-    folder = _inner_folder(into, lesson)
+    folder = _inner_folder(into, lesson, remarks)
     return folder, (*remarks, *_foreign_files(folder, lesson))
 
 
@@ -92,14 +92,17 @@ def _zip_inside(path: Path) -> Path:
     return inside[0] if is_zip else path
 
 
-def _inner_folder(folder: Path, lesson: Lesson) -> Path:
+def _inner_folder(folder: Path, lesson: Lesson, remarks: list[str]) -> Path:
     """Return the folder with the files of the steps: a zip often has one folder around them."""
-    for candidate in (folder, *sorted(path for path in folder.glob("*/") if path.is_dir())):
-        if any((candidate / name).is_file() for name in lesson.step_files):
-            return candidate
+    candidates = (folder, *sorted(path for path in folder.glob("*/") if path.is_dir()))
+    marked = [path for path in candidates if any((path / name).is_file() for name in lesson.step_files)]
+    if marked:
+        remarks += (f"{path.name} is not marked, beside {marked[0].name}" for path in marked[1:])
+        return marked[0]
+    left_out = "".join(f"; {remark}" for remark in remarks)
     if not any(folder.iterdir()):
-        raise HandInError("it is empty")
-    raise HandInError(f"it has none of the files of this lesson: {', '.join(lesson.step_files)}")
+        raise HandInError(f"it is empty{left_out}")
+    raise HandInError(f"it has none of the files of this lesson: {', '.join(lesson.step_files)}{left_out}")
 
 
 def _foreign_files(folder: Path, lesson: Lesson) -> Iterator[str]:
@@ -172,6 +175,8 @@ def _extract(path: Path, into: Path, remarks: list[str]) -> None:
                     remarks.append(f"{name.name} is a symbolic link, which is not followed")
                     continue
                 target = into / name
+                if target.exists():
+                    raise HandInError(f"the zip has two files of the name {name}")
                 target.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(member) as source, target.open("wb") as out:
                     while chunk := source.read(_CHUNK):
@@ -328,7 +333,8 @@ def _without_effect(file: str, root: MappingNode, started: MappingNode | None, s
     paths = sorted(path for path in own.keys() | before.keys() if own.get(path) != before.get(path))
     foreign = [path for path in paths if not is_in_parts(path, step.parts)]
     if foreign:
-        listed = ", ".join(f"`{path}`" for path in foreign[:5])
+        more = [f"{len(foreign) - 5} more"] if foreign[5:] else []
+        listed = ", ".join([*(f"`{path}`" for path in foreign[:5]), *more])
         yield f"changes of {listed} in {file} have no effect on the marks"
 
 

@@ -39,6 +39,7 @@ from deepbots_cli.course.lessons import (
     read_mapping,
     settings_of,
 )
+from deepbots_cli.diagnostics import Findings
 from deepbots_cli.document import Node, ScalarNode
 from deepbots_cli.document.load import read_alone
 from deepbots_cli.document.nodes import node_at
@@ -292,7 +293,10 @@ class Marker:
     def _answered(self, check: Check) -> CheckMark:
         path = self.folder / ANSWERS_NAME
         is_file = path.is_file() and not path.is_symlink()
-        node = node_at(read_alone(path, ANSWERS_NAME)[0], check.answer or "") if is_file else None
+        root, findings = read_alone(path, ANSWERS_NAME) if is_file else (None, Findings())
+        if errors := [finding for finding in findings if finding.severity == "error"]:
+            return CheckMark(check.says, 0, check.points, f"{errors[0].span.location}: {errors[0].headline}")
+        node = node_at(root, check.answer or "")
         if not isinstance(node, ScalarNode) or node.value is None or not node.text.strip():
             reason = (
                 f"there is no answer in {ANSWERS_NAME}: write one value after `{check.answer}:` and a space"
@@ -363,6 +367,17 @@ def _quantity(node: syntax.Node | None) -> _Quantity | None:
     return (node.value, NUMBER) if node.unit is None else (node.unit.to_si(node.value), node.unit.dimension)
 
 
+def _trained_last(run: Path) -> tuple[str, list[int]]:
+    """Return when a run was trained last, and the numbers of its name; without a record, it comes first."""
+    from deepbots_cli.learning.runs.run import RunRecord
+
+    numbers = [int(number) for number in re.findall(r"\d{1,9}", run.name)]
+    try:
+        return RunRecord.read(run).updated, numbers
+    except DeepbotsError:
+        return "", numbers
+
+
 @dataclass
 class _Policy:
     """The policy of a step: that of the newest run with the name of the step, or one that is trained here."""
@@ -426,11 +441,15 @@ class _Policy:
 
         folder = self.marker.folder / "runs"
         folders = [path for path in folder.glob(f"{self.name}-*") if path.is_dir() and not path.is_symlink()]
-        folders.sort(key=lambda path: [int(number) for number in re.findall(r"\d{1,9}", path.name)])
+        folders.sort(key=_trained_last)
         command = f"`deepbots train {self.name}.yaml`"
         if not folders:
             raise HandInError(f"there is no run of it in the folder runs: train it with {command}")
-        files = [file for path in reversed(folders) for file in sorted(path.glob("models/*/*.zip"))]
+        files = [
+            file
+            for path in reversed(folders)
+            for file in sorted(path.glob("models/*/*.zip"), key=lambda file: file.name != "best.zip")
+        ]
         self.models = weights_of(folder, files)
         newest = folders[-1]
         place = f"{newest.name}/best.zip"
@@ -450,14 +469,20 @@ class _Policy:
                 f" {listed} {'differs' if len(changed) == 1 else 'differ'};"
                 f" train what you hand in with {command}"
             )
-        source = record.task.teacher or record.initialized_from
+        resolved = data_of(run.path / RESOLVED_NAME).get("train") or {}
+        source = record.task.teacher or resolved.get("teacher") or record.initialized_from
         if source is not None and not self.marker.lesson.steps[self.name].teacher:
             raise HandInError(
                 f"{newest.name} learned from `{source}`, which this step does not allow; train it with {command}"
             )
         if not read_evaluations(run.path):
+            wait = (
+                "ended before its first evaluation:"
+                if record.is_finished
+                else "has had no evaluation yet: wait, or"
+            )
             raise HandInError(
-                f"the training of {newest.name} has had no evaluation yet: wait for the first one, or go on with"
+                f"the training of {newest.name} {wait} go on with"
                 f" `deepbots resume {shell_word(f'runs/{newest.name}')}`"
             )
         if reason := unexplained(run):

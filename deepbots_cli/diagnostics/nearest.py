@@ -65,15 +65,14 @@ def nearest_first(word: str, candidates: Iterable[str], limit: int) -> list[str]
         name: SequenceMatcher(None, name[:_MAX_LENGTH].lower(), word[:_MAX_LENGTH].lower()).ratio()
         for name in words[:_MAX_COMPARED]
     }
-    like = [name for name in by_likeness if by_likeness[name] >= _LIKE]
-    like.sort(key=by_likeness.__getitem__, reverse=True)
+    ordered = sorted(by_likeness, key=by_likeness.__getitem__, reverse=True)
+    like = [name for name in ordered if by_likeness[name] >= _LIKE]
     return [*like, *(name for name in words if by_likeness.get(name, 0.0) < _LIKE)]
 
 
 def did_you_mean(word: str, candidates: Iterable[str]) -> str:
     """Return ` (did you mean x?)` with the nearest of the candidates; empty if there is none."""
-    near = nearest_word(word, candidates)
-    return f" (did you mean {near}?)" if near else ""
+    return f" (did you mean {near}?)" if (near := nearest_word(word, candidates)) else ""
 
 
 def suggest_replacement(
@@ -82,13 +81,18 @@ def suggest_replacement(
     """Return the nearest of the candidates as a replacement.
 
     It is certain only among words of the language (`of_language`), and only if exactly one of them is a slip
-    away. Names that a user chose may differ by a letter on purpose (`left_1`, `left_2`).
+    away. Names that a user chose may differ by a letter on purpose (`left_1`, `left_2`). A component behind a
+    misspelled name stays.
     """
     words = tuple(islice(candidates, _MAX_COMPARED))
     near = nearest_word(word, words)
     if near is None:
         return None
-    return Replacement(near, of_language and [other for other in words if is_typo(word, other)] == [near])
+    head, _, component = word.rpartition(".")
+    end = f".{component}" if is_typo(head, near) else ""
+    return Replacement(
+        f"{near}{end}", of_language and [other for other in words if is_typo(word, other)] == [near]
+    )
 
 
 def with_owner(name: str, names: Sequence[str]) -> Replacement | None:

@@ -110,6 +110,12 @@ class Task:
     def is_running(self) -> bool:
         return self.exit_code is None
 
+    @property
+    def has_failed(self) -> bool:
+        """Whether the command has ended without an answer; `diff` answers with the exit code 1, too."""
+        is_answer = self.record.words[0] == "diff" and self.exit_code == 1
+        return bool(self.exit_code) and not is_answer
+
     def output(self) -> str:
         """Return the end of the output, without the lines that a progress display has replaced."""
         lines = self._tail(MAX_LOG_BYTES).split("\n")
@@ -237,7 +243,7 @@ def _read(path: Path) -> TaskRecord:
 def title_of(task: Task) -> str:
     """Return a heading for the output of a command: what it makes, and of what."""
     verb, *words = task.record.words
-    about = task.record.run or (words[0] if words else "")
+    about = task.record.run or next((word for word in words if not word.startswith("--")), "")
     return f"{_TITLES[verb]} of {Path(about).name}" if verb in _TITLES and about else task.command
 
 
@@ -248,7 +254,7 @@ def result_of(task: Task) -> str:
         return f"{task.record.output} is written"
     if task.is_running:
         return task.activity
-    if not task.verdict and task.exit_code:
+    if not task.verdict and task.has_failed:
         return "stopped" if task.exit_code == _INTERRUPTED else "failed; the last lines say why"
     is_random = task.record.words[0] == "try" and "--driver" not in task.record.words
     return f"Random actions: {task.verdict}" if task.verdict and is_random else task.verdict
@@ -348,7 +354,7 @@ class Commands:
         code, run, title = task.exit_code, self.trained_run(task), title_of(task)
         if code == _INTERRUPTED:
             return f"{title}: stopped"
-        if task.verdict or not code:
+        if task.verdict or not task.has_failed:
             solved = None if run is None else read_listed(run).solved
             return f"{title}: {({True: 'solved', False: 'not solved', None: 'finished'})[solved]}"
         return f"{title}: failed; the tab Commands shows why"

@@ -65,8 +65,10 @@ async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None
         if not name.validate():
             return
         create.props("loading")
+        dialog.props("persistent")  # a click beside it would lose the file
         text, code = await session.commands.call(["new", name.value, kind.value, origin, *options()])
         create.props(remove="loading")
+        dialog.props(remove="persistent")
         if code:
             name.error = text.strip().partition("\n\n")[0]
         else:

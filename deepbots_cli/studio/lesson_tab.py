@@ -18,6 +18,7 @@ _ON_THE_PAGE = {
     "course check": "press Check",
     "runs": "open Runs",
     r"lint \w+\.yaml": "read the findings below the text",
+    r"lint \w+\.yaml --exploits": "press Exploits",
     r"explain (\w+)": r"press Explain ... and write \1",
     r"train \w+\.yaml": "press Train",
     r"(?:view|try) \w+\.yaml --driver (?!zero)(\w+)(?: --open| --episodes \d+)?": r"choose Driver: \1",

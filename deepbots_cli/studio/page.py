@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -307,14 +307,18 @@ class StudioPage:
             self._shown.withdraw()
             self._guarded(lambda: self._session.save(file))
 
-    async def _choose(self, path: str | None) -> None:
-        """Show the file that was chosen; a scenario of the folder also gets the robot."""
+    def _choose(self, path: str | None) -> Awaitable[None] | None:
+        """Show the file that was chosen; a scenario of the folder also gets the robot. For a robot file, return
+        what edits it.
+
+        A scenario is shown at once: the list also calls this for what `_show_files` writes into it, and two
+        choices that wait would undo each other for ever.
+        """
         if path is None or (self._file is not None and path == str(self._file.path)):
-            return
+            return None
         if path.endswith(".urdf"):
             self._files.set_value(str(self._file.path) if self._file is not None else None)
-            await edit_robot(self._session, Path(path))
-            return
+            return edit_robot(self._session, Path(path))
 
         def choose() -> None:
             self._shown.withdraw()
@@ -324,6 +328,7 @@ class StudioPage:
                 self._show_scenario(file.path)
 
         self._guarded(choose)
+        return None
 
     def _write_values(self, values: dict[str, str]) -> None:
         """Write values of a diagnosis, or of the running world, into the text."""

@@ -25,9 +25,11 @@ from deepbots_cli.studio.commands import RUNS_FOLDER, Task, title_of
 from deepbots_cli.studio.layout import ICONS, Result, text_with_code
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import (
+    certainty_text,
     comparison_chart,
     read_training,
     result_text,
+    score_in_training,
     score_text,
     solved_return,
     training_chart,
@@ -72,6 +74,12 @@ class TrainingTab:
             for verb, words, icon, tip in (
                 ("Try", ["try"], "play", "run a few episodes with random actions"),
                 ("Test", ["test"], "check", "run the tests of the scenario"),
+                (
+                    "Exploits",
+                    ["lint", "--exploits"],
+                    "search",
+                    "look for ways to earn the reward without the task",
+                ),
             ):
                 ui.button(verb, icon=ICONS[icon], on_click=lambda words=words: self._run(words)).props(
                     f'dense outline no-caps title="{tip}"'
@@ -166,7 +174,7 @@ class TrainingTab:
         if is_running and not activity and (run.state == "finished" or training.stands_still):
             activity = "evaluating ..." if task is not None and task.output() else "starting ..."
         time_left = "" if activity else training.time_left(self._session.runs)
-        text = training.problem or status(run, time_left)
+        text = training.problem or status(run, training.log, time_left)
         self._text.set_text(", ".join(filter(None, (f"{run.path.name}: {text}", activity))))
         key = (run.path, training.log, self._is_dark)
         if key != self._drawn:
@@ -221,12 +229,13 @@ class TrainingTab:
             task.stop()
 
 
-def status(run: ListedRun, time_left: str) -> str:
+def status(run: ListedRun, log: TrainingLog | None, time_left: str) -> str:
     """Return the state and the results of a run in one line."""
     if run.state != "training":
-        return result_text(run)
+        return f"{result_text(run)}{certainty_text(log)}"
     steps = f"training, {run.steps or 0:,} of {run.total_timesteps or 0:,} steps"
-    return ", ".join(filter(None, (steps, score_text(run), time_left)))
+    score = score_text(run) if log is None or log.returns is None else score_in_training(log)
+    return ", ".join(filter(None, (steps, score, time_left)))
 
 
 _COMMAND = re.compile(r"`(deepbots [^`]+)`")
@@ -237,7 +246,7 @@ _ADVISED_COMMANDS = {
     "lint": "Check the scenario",
     "try": "Try a few episodes with other actions",
     "diagnose": "Explain a failed episode",
-    "diff": "Show all differences",
+    "diff": "Show the differences of the scenarios",
 }
 """The commands of a diagnosis that the page runs, and the texts of their buttons, in which the last word of
 the command replaces the braces."""

@@ -61,7 +61,7 @@ class Shown:
         self.notice, self.is_warning = "", False
         self.task: Task | None = None
         self.training: WatchedTraining | None = None
-        self.follows = False
+        self.follows = True
         self._awaited: Path | None = None
         """The training that the robot is to show once its run exists."""
         self._restarts = False

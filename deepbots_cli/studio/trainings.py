@@ -21,7 +21,7 @@ from deepbots_cli.learning.runs.verdict import changed_values, listed_values, st
 from deepbots_cli.records import dataclass
 from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.training_logs import Curve, TrainingLog, read_logs
-from deepbots_cli.words import number_text, rate_text
+from deepbots_cli.words import counted, number_text, rate_text
 
 MAX_POINTS = 400
 """The number of points of a line on the page."""
@@ -83,6 +83,26 @@ def score_text(run: ListedRun) -> str:
         return ""
     success = "" if run.success_rate is None else f" and success {rate_text(run.success_rate)}"
     return f"mean return {number_text(run.mean_return)}{success} in {run.score}"
+
+
+def score_in_training(log: TrainingLog) -> str:
+    """Return the score at the end of the curves. The record of a run that trains is as old as its last
+    checkpoint."""
+    last = [None if curve is None else float(curve[1][-1]) for curve in (log.returns, log.successes)]
+    success = "" if last[1] is None else f" and success {rate_text(last[1])}"
+    return f"mean return {number_text(last[0] or 0.0)}{success} in training"
+
+
+def certainty_text(log: TrainingLog | None) -> str:
+    """Return how well the score of an evaluation is known; empty without one."""
+    result = None if log is None else log.evaluation
+    if result is None:
+        return ""
+    is_rate = result.success_defined
+    interval = result.success_interval if is_rate else result.return_interval
+    ends = map(rate_text if is_rate else number_text, interval or ())
+    between = f"95 %: {' .. '.join(ends)}; " if interval else ""
+    return f" ({between}{counted(result.episodes, 'episode')})"
 
 
 def solved_return(run: Path) -> float | None:

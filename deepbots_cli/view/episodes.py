@@ -205,8 +205,8 @@ class ShowingState:
 
 
 class RunDriver(Driver):
-    """The policy of a run, which acts as in an evaluation; while the run is trained, the newest one of each
-    episode."""
+    """The policy of a run, which acts as in an evaluation; while the run is trained, the first one as soon as
+    there is one, and then the newest one of each episode."""
 
     def __init__(
         self,
@@ -244,6 +244,7 @@ class RunDriver(Driver):
         self.begin(Start())
 
     def begin(self, start: Start) -> None:
+        self._start = start
         running = RunRecord.read(self._run.path).state(self._run.path) == "training"
         stamps = {
             name: stamp
@@ -282,6 +283,9 @@ class RunDriver(Driver):
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:
+        # An episode of random actions may last minutes.
+        if self._policy is None and any(self._run.model(name).exists() for name in self._models):
+            self.begin(self._start)
         return self._space.sample() if self._policy is None else self._policy.act(observation)
 
 

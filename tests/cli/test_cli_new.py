@@ -28,7 +28,6 @@ import yaml
 from deepbots_cli import api, frames
 from deepbots_cli.cli import starters
 from deepbots_cli.cli.arguments import open_robot
-from deepbots_cli.cli.command import help_text
 from deepbots_cli.cli.commands import new
 from deepbots_cli.cli.starters.draft import Draft, Template
 from deepbots_cli.cli.written_files import write_new
@@ -89,11 +88,6 @@ def test_a_comment_behind_a_line_of_a_shipped_text_is_short_or_above_it():
 def _long_comments(files: list[Path]) -> list[str]:
     lines = (line for file in files for line in file.read_text(encoding="utf-8").splitlines())
     return [line for line in lines if len(line) > 60 and re.search(r"\S +# ", re.sub('"[^"]*"', "", line))]
-
-
-def test_the_help_lists_every_template():
-    text = help_text("new")
-    assert [name for name in Template if f"  {name:<8}  a" not in text] == []
 
 
 @pytest.mark.parametrize(
@@ -663,13 +657,6 @@ def test_a_copy_keeps_comments_and_reads_its_own_robot(deepbots, tmp_path):
     robot = tmp_path / "robots" / "urdf" / "cartpole.urdf"
     robot.write_text(robot.read_text().replace('name="pole_hinge"', 'name="other_hinge"'))
     deepbots("lint", "cartpole.yaml", code=1)
-
-
-def test_a_copy_says_what_to_do_next(deepbots):
-    ran = deepbots("new", "cartpole", "--from", "cartpole")
-    assert ran.out.split() == ["cartpole.yaml", "robots/urdf/cartpole.urdf"]
-    assert "deepbots lint cartpole.yaml" in ran.err
-    assert "deepbots train cartpole.yaml" in ran.err
 
 
 def test_what_a_scenario_extends_and_includes_comes_along(tmp_path, monkeypatch):

@@ -750,6 +750,7 @@ def test_a_notice_has_at_most_twelve_words():
         (("try", "mine.yaml"), 0, "3 episodes, mean return 3", "A few episodes of mine.yaml: finished"),
         (("lint", "mine.yaml"), 1, "2 errors", "Check of mine.yaml: finished"),
         (("eval", "runs/mine-1"), 2, "", "Evaluation of mine-1: failed; the tab Commands shows why"),
+        (("diff", "runs/mine-1", "runs/mine-2"), 1, "", "Differences of mine-1: finished"),
         (("compare", "runs/mine-1", "runs/mine-2"), 130, "", "Comparison of mine-1: stopped"),
     ],
 )
@@ -761,7 +762,7 @@ def test_a_notice_about_a_command_that_ended_is_short_and_its_verdict_is_in_the_
     (tmp_path / VERDICT_NAME).write_text(verdict)
     (tmp_path / EXIT_NAME).write_text(str(code))
     assert Commands(tmp_path, Permissions(), print).end_of(task) == notice
-    result = verdict or {2: "failed; the last lines say why", 130: "stopped"}[code]
+    result = verdict or {1: "", 2: "failed; the last lines say why", 130: "stopped"}[code]
     assert result_of(task).removeprefix("Random actions: ") == result
 
 

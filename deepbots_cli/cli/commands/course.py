@@ -222,7 +222,8 @@ def _next(folder: Path, into: Path | None, solution: str | None, *, as_json: boo
     lesson = _opened(folder).lesson()
     following = next((other for other in shipped_lessons() if other.number == lesson.number + 1), None)
     if following is None or not lesson.is_shipped:
-        terminal.show({}, "this was the last lesson; `deepbots course` lists all", as_json=as_json)
+        last = "this was the last lesson" if lesson.is_shipped else f"no lesson follows {lesson.label}"
+        terminal.show({}, f"{last}; `deepbots course` lists those of deepbots", as_json=as_json)
         return
     name = f"lesson-{following.number}-{following.name}"
     _start(str(following.folder), into or folder.resolve().parent / name, solution, as_json=as_json)
@@ -342,6 +343,8 @@ def command_grade(
     lines += (
         _lines(lesson, marks[0])[1:] if len(marks) == 1 else [table([*map(row_of, marks)], is_prose=True)]
     )
+    if not seed:
+        terminal.note("students can try seed 0: --seed N takes starts that they do not know")
     about = {"seed": seed, "date": str(date.today()), "version": __version__}
     terminal.show([{**one.data(), **about} for one in marks], *lines, as_json=as_json)
     save(marks)

@@ -201,7 +201,10 @@ def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
         f"deepbots course start {shell_word(folder)} as_a_student",
     ]
     terminal.show(
-        {"lesson": str(folder)}, f"{folder}: a lesson to change", as_json=as_json, next_commands=commands
+        {"lesson": str(folder)},
+        f"{folder}: a copy of lesson 3; change its files, world.png, too",
+        as_json=as_json,
+        next_commands=commands,
     )
 
 

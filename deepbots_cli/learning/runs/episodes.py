@@ -365,7 +365,7 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
     several agents, `agent` is the one whose returns and successes are read.
 
     An evaluation is a dictionary of `steps`, of the `stage` of the curriculum in which the policy acted (""
-    without one), and of the `returns` and `successes` of their episodes, as numbers.
+    without one), and of the `returns`, `successes` and `lengths` (in steps) of their episodes, as numbers.
 
     Raises:
         RunError: The file is not a regular file, too large, or damaged.
@@ -383,6 +383,7 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
                 line = json.loads(text)
                 entry = line[AGENTS_COLUMN][agent] if agent else line
                 lists = {name: [float(value) for value in entry[name]] for name in ("returns", "successes")}
+                lengths = [*map(float, line.get("lengths", ()))]
                 # `fmean` raises an error for an evaluation without episodes.
                 means = [fmean(values) for values in lists.values()]
                 steps = float(line["steps"])
@@ -392,7 +393,12 @@ def read_evaluations(run: Path, agent: str = "") -> list[dict[str, Any]]:
                 if numbers > _MAX_EVALUATED:
                     raise RunError(f"{path} has more than {_MAX_EVALUATED // 2:,} episodes")
                 evaluations.append(
-                    {"steps": steps, "stage": stages.keep(str(line.get("stage") or "")), **lists}
+                    {
+                        "steps": steps,
+                        "stage": stages.keep(str(line.get("stage") or "")),
+                        "lengths": lengths,
+                        **lists,
+                    }
                 )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RunError(f"{run} is damaged: one of its logs cannot be read") from error

@@ -319,16 +319,34 @@ def critic_values(policy: Any, observations: Sequence[Any]) -> Array | None:
     family = family_of(policy)
     if not observations or family is None or hasattr(policy, "lstm_actor"):
         return None
+    with torch.no_grad():
+        values = family.values(policy, _stacked(policy, observations)).min(dim=1).values
+    return np.asarray(values.cpu().numpy(), float)
+
+
+def random_answers(policy: Any, count: int) -> Array | None:
+    """Return the logits of choices, or the values of ranges, for so many random observations, the same in each
+    call, shape (count, outputs); None as for `critic_values`."""
+    family = family_of(policy)
+    if family is None or hasattr(policy, "lstm_actor"):
+        return None
+    extractor, layers = family.layers(policy)
+    policy.observation_space.seed(0)
+    observations = [policy.observation_space.sample() for _ in range(count)]
+    with torch.no_grad():
+        features = policy.extract_features(_stacked(policy, observations), extractor)
+        return np.asarray(layers(features).cpu().numpy(), float)
+
+
+def _stacked(policy: Any, observations: Sequence[Any]) -> Any:
+    """Return observations as the tensors that a policy takes."""
     parts = observations[0].keys() if isinstance(observations[0], dict) else None
     stacked = (
         {key: np.stack([observation[key] for observation in observations]) for key in parts}
         if parts
         else np.stack(observations)
     )
-    with torch.no_grad():
-        inputs, _ = policy.obs_to_tensor(stacked)
-        values = family.values(policy, inputs).min(dim=1).values
-    return np.asarray(values.cpu().numpy(), float)
+    return policy.obs_to_tensor(stacked)[0]
 
 
 _NUMBERS = "observation"
