@@ -223,7 +223,9 @@ class Element:
         """Return the first child called `tag`; reports an error if there is none."""
         child = self.find_one(tag)
         if child is None:
-            self.error(f"<{self.tag}> without <{tag}>", help=f"add <{tag} .../> inside it")
+            name = f" name={self.attributes['name']!r}" if "name" in self.attributes else ""
+            end = ' link="..."' if tag in ("parent", "child") else " ..."
+            self.error(f"<{self.tag}{name}> without <{tag}>", help=f"add <{tag}{end}/> inside it")
         return child
 
     def text(self, name: str) -> str | None:

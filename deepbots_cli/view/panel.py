@@ -342,7 +342,7 @@ class Panel:
         if frame.ended_by:
             unsuccessful = "#808080" if frame.truncated else "#D55E00"  # a limit is not a failure
             reaches_goal = frame.truncated and goal is not None and agent.episode_return >= goal
-            state = f"goal reached: {frame.ended_by}" if reaches_goal else state
+            state = f"goal reached at the limit {frame.ended_by}" if reaches_goal else state
             color = "#009E73" if frame.is_success or frame.succeeded or reaches_goal else unsuccessful
         state = f"{world.title}: {state}" if world.title else state
         # A line of its own: at the end of the first one, it would wrap in some steps, and move all controls.
