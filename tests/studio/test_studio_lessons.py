@@ -93,8 +93,7 @@ def test_lesson_3_is_done_on_the_page_with_a_training(tmp_path: Path) -> None:
     with served(folder, "mend.yaml") as studio, browser() as new_tab:
         page = StudioTab(new_tab(), studio.address, 1280, 720)
         go_to_end(page, "  closer: 10 * delta")
-        text = "10 * delta(apart) / m         # delta: the change since the last step"
-        erase(page, len(text))
+        erase(page, len("10 * delta(apart) / m"))
         page.type("-10 * delta(apart) / m")
         assert check(page) == "2 of 10 points"
 
