@@ -88,9 +88,11 @@ def score_text(run: ListedRun) -> str:
 def score_in_training(log: TrainingLog) -> str:
     """Return the score at the end of the curves. The record of a run that trains is as old as its last
     checkpoint."""
-    last = [None if curve is None else float(curve[1][-1]) for curve in (log.returns, log.successes)]
-    success = "" if last[1] is None else f" and success {rate_text(last[1])}"
-    return f"mean return {number_text(last[0] or 0.0)}{success} in training"
+    curves = [curve for curve in (log.returns, log.successes) if curve is not None]
+    # A stage that has begun is a nan.
+    last = [float(values[~np.isnan(values)][-1]) for _, values in curves]
+    success = "".join(f" and success {rate_text(rate)}" for rate in last[1:])
+    return f"mean return {number_text(last[0])}{success} in training"
 
 
 def certainty_text(log: TrainingLog | None) -> str:
