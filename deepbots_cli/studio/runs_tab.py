@@ -266,7 +266,8 @@ _AGE = """at => {
 """A function of the browser for the time since a run began, from its time in s since 1970."""
 # Functions of the browser for numbers. Their columns are sorted by the numbers, and not by these texts.
 _COUNT = "value => value == null ? '' : value.toLocaleString('en')"
-_PERCENT = "value => value == null ? '' : `${Math.round(100 * value)}%`"
+_RATE = """(value, row) => value == null ? '' :
+  `${Math.round(100 * value)}%${row.score == 'training' ? ' in training' : ''}`"""
 _RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))} in ${row.score}`"
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
@@ -281,7 +282,7 @@ _COLUMNS: tuple[tuple[str, str, str, dict[str, str]], ...] = (
     ("name", "run", "left", _SHORT),
     ("scenario", "scenario", "left", _WIDE),
     ("return", "mean return", "right", {"classes": "studio-return", ":format": _RETURN}),
-    ("success", "success", "right", {**_SHORT, ":format": _PERCENT}),
+    ("success", "success", "right", {**_SHORT, ":format": _RATE}),
     ("solved", "solved", "left", _SHORT),
     ("steps", "steps", "right", {**_WIDE, ":format": _COUNT}),
     ("when", "when", "left", {**_WIDE, ":format": _AGE}),
