@@ -761,7 +761,7 @@ def test_a_check_that_the_starter_passes_counts_only_beside_another_one(
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no named pipes")
 def test_what_is_no_file_is_refused_and_the_others_are_marked(lesson: Lesson, tmp_path: Path) -> None:
     handed_in = tmp_path / "handed_in"
-    put(handed_in / "ada", answers="length: 0.35 m\nfair: no\n")
+    put(handed_in / "ada", answers="length: 0.35 m\nfair:\n")
     os.mkfifo(handed_in / "bob.zip")
     (handed_in / os.fsdecode(b"eve\xff.zip")).write_bytes(b"PK")
     deep = handed_in / "joe"
@@ -769,7 +769,7 @@ def test_what_is_no_file_is_refused_and_the_others_are_marked(lesson: Lesson, tm
         deep /= "d" * 10
     deep.mkdir(parents=True)
     marks = grade(lesson, hand_ins_of(lesson, [handed_in]))
-    assert {one.student: one.points for one in marks} == {"ada": 2, "bob": 0, "eve?": 0, "joe": 0}
+    assert {one.student: one.points for one in marks} == {"ada": 1, "bob": 0, "eve?": 0, "joe": 0}
     assert as_csv(marks).encode()
 
 
