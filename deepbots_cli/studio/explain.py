@@ -208,7 +208,8 @@ def _answer(query: str, of_text: OfText, here: str) -> str:
     """Return the explanation of a word: what it means at the cursor (`here`) or in the text, and its
     entries."""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
-    names = [] if here else of_text.names(query)
+    is_known_phrase = has_entry and " " in query
+    names = [] if here or is_known_phrase else of_text.names(query)
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
     in_text = [f"In this file: {listed}."] if names else []
     in_text = [f"**{query}** in this file\n\n{here}"] if here else in_text
