@@ -12,7 +12,6 @@ from __future__ import annotations
 import os
 import re
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
@@ -794,6 +793,7 @@ def test_a_world_that_cannot_run_says_why(text: str, headline: str):
         ),
     ],
 )
+@pytest.mark.timeout(60)
 def test_a_mesh_of_millions_of_faces_is_refused_before_it_is_loaded(
     tmp_path: Path, name: str, data: bytes, reason: str
 ):
@@ -801,12 +801,10 @@ def test_a_mesh_of_millions_of_faces_is_refused_before_it_is_loaded(
     (tmp_path / "worlds" / name).write_bytes(data)
     world = tmp_path / "worlds" / "w.wbt"
     text = f'{HEADER}Solid {{ boundingObject Mesh {{ url "{name}" }} }}'
-    start = time.process_time()
     read_text = world_of_source(Source("w.wbt", text), world, Files(tmp_path))
     build_scene(read_text)
     (finding,) = read_text.findings.errors
     assert reason in finding.headline
-    assert time.process_time() - start < 5
 
 
 @pytest.mark.parametrize(
@@ -901,8 +899,8 @@ def test_a_damaged_world_ends_in_findings(data: st.DataObject):
     survives(EXAMPLE[:start] + piece + EXAMPLE[start + length :])
 
 
-SECONDS = 4.0
-"""CPU time of the slowest world: 1 s on an idle core."""
+ENDS_S = 60
+"""A bound against what takes quadratic time: the slowest world takes 1 s on an idle core."""
 BOX = "Shape { geometry Box { } }"
 PAIR = "PROTO Pair [ field MFNode x [ ] ] { Group { children [ Group { children IS x } Group { children IS x } ] } } "
 MANY_NODES = f"the world has more than {MAX_NODES:,} nodes, each as often as USE and PROTO repeat it"
@@ -1002,10 +1000,9 @@ def errors_and_places(text: str) -> list[tuple[str, str]]:
         ),
     ],
 )  # fmt: skip
+@pytest.mark.timeout(ENDS_S)
 def test_a_small_text_that_stands_for_much_is_a_finding_at_its_place(text: str, headline: str, place: str):
-    start = time.process_time()
     assert errors_and_places(text) == [(headline, place)]
-    assert time.process_time() - start < SECONDS
 
 
 NUMBERS = "1 1 1 " * (MAX_NUMBERS // 3)
@@ -1035,10 +1032,9 @@ NUMBERS = "1 1 1 " * (MAX_NUMBERS // 3)
         pytest.param("E-puck { }" * 280, id="robots of the library", marks=pytest.mark.slow),
     ],
 )  # fmt: skip
-def test_a_world_at_the_limits_of_size_is_read_in_a_second(text: str):
-    start = time.process_time()
+@pytest.mark.timeout(ENDS_S)
+def test_a_world_at_the_limits_of_size_is_read(text: str):
     errors_and_places(text)
-    assert time.process_time() - start < SECONDS
 
 
 def test_use_names_the_nearest_def_before_it_also_if_that_was_inside_of_another_of_its_name():
