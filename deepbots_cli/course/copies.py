@@ -4,8 +4,8 @@ were changed a little.
 A policy is compared with every model of the other students, by two sketches. The weights are read as numbers,
 without the pickle beside them, and 64 sums of them with random signs are kept: the distance of two such
 sketches is that of the weights, to about a fifth (M. Charikar et al., Theor. Comput. Sci. 312, 2004, p. 3). What
-the network answers to random observations is the same for neurons in another order and for other bytes beside
-them.
+the network answers to observations of one number each is the same for neurons and observations in another order
+and for other bytes beside them.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ _NEAR = 0.01
 @dataclass(frozen=True)
 class Weights:
     """The weights of a model. `place` is the name of its run with its file, `size` is in bytes, `sketch` are
-    sums of weights with random signs, and `answers` are those of its network to random observations, none for
-    a network of another form."""
+    sums of weights with random signs, and `answers` are those of its network to observations of one number,
+    none for a network of another form."""
 
     place: str
     size: int
@@ -95,18 +95,18 @@ def _sketch(model: Path) -> tuple[int, tuple[float, ...]] | None:
 
 
 def _answers(model: Path) -> tuple[float, ...]:
-    """Return what the network of a policy answers to random observations: the values of ranges, or by how much
-    it prefers each option."""
+    """Return what the network of a policy answers to observations of one number: the values of ranges, or by
+    how much it prefers each option."""
     import gymnasium as gym
     import numpy as np
 
     from deepbots_cli.learning.policy import loaded
     from deepbots_cli.learning.runs.run import Run
-    from deepbots_cli.learning.sb3.networks import random_answers
+    from deepbots_cli.learning.sb3.networks import probed_answers
 
     try:
         learner: Any = loaded(Run.open(model.parents[2]), model.stem)
-        answers = random_answers(learner.model.policy, _SUMS)
+        answers = probed_answers(learner.model.policy)
     except (DeepbotsError, AttributeError, ValueError):  # a damaged run, or an algorithm of a plug-in
         return ()
     if answers is None:

@@ -1,13 +1,16 @@
 """Whether the record of a training explains the policy in it.
 
 The starts on which a training evaluated its policy are repeated: a policy that another training made has other
-returns there. Who can write all records of a run by hand is found by a training of the grader's own alone.
+returns there. An evaluation that any policy repeats, such as one of two steps, explains none. Who can write all
+records of a run by hand is found by a training of the grader's own alone.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import closing
+from typing import Any
 
 from deepbots_cli.learning.environments import Evaluator, supervisor_factory
 from deepbots_cli.learning.executor import Interruption
@@ -27,18 +30,41 @@ def unexplained(run: Run) -> str:
     evaluations = [one for one in read_evaluations(run.path) if one["steps"] == steps]
     if not evaluations:
         return f"its policy was saved after {steps:,} steps, after which the training has no evaluation"
+    recorded = [*zip(evaluations[-1]["returns"], evaluations[-1]["lengths"], strict=False)]
     stage = evaluations[-1]["stage"] or None
+    program = run.program.variant(None, stage)
     evaluator = Evaluator(supervisor_factory(run.record.engine), run.record.seed)
-    with torch_settings(), closing(evaluator):
-        episodes = evaluator.evaluate(
-            load_model(run, "best"), run.program.variant(None, stage), Interruption(), stage
+    model = load_model(run, "best")
+
+    def same() -> int:
+        """Return how many episodes have the return and length of the record."""
+        return sum(
+            math.isclose(episode.total_return, total, rel_tol=_TOLERANCE, abs_tol=1e-3)
+            and math.isclose(episode.length, length, rel_tol=_TOLERANCE, abs_tol=1)
+            for episode, (total, length) in zip(
+                evaluator.evaluate(model, program, Interruption(), stage), recorded, strict=False
+            )
         )
-    recorded = zip(evaluations[-1]["returns"], evaluations[-1]["lengths"], strict=False)
-    same = sum(
-        math.isclose(episode.total_return, total, rel_tol=_TOLERANCE, abs_tol=1e-3)
-        and math.isclose(episode.length, length, rel_tol=_TOLERANCE, abs_tol=1)
-        for episode, (total, length) in zip(episodes, recorded, strict=False)
-    )
-    if 2 * same >= len(episodes):  # a robot in contact may do anything else
-        return ""
-    return f"only {same} of {len(episodes)} episodes of its evaluation after {steps:,} steps repeat"
+
+    with torch_settings(), closing(evaluator):
+        count = same()
+        if 2 * count < len(recorded):  # a robot in contact may do anything else
+            return f"only {count} of {len(recorded)} episodes of its evaluation after {steps:,} steps repeat"
+        untrained = [2 * same() >= len(recorded) for _ in _random_weights(model)]
+    if sum(untrained) > 1:  # one of three may do what a policy does that has learned little
+        return f"an untrained policy repeats its evaluation after {steps:,} steps as well"
+    return ""
+
+
+def _random_weights(model: Any) -> Iterator[None]:
+    """Give the network of a policy other weights three times, zeros first; never for an algorithm of a
+    plug-in."""
+    import torch
+
+    policy = getattr(getattr(model, "model", None), "policy", None)
+    random = torch.Generator().manual_seed(0)
+    for scale in () if policy is None else (0, 1, 1):
+        with torch.no_grad():
+            for tensor in policy.parameters():
+                tensor.copy_(scale * torch.randn(tensor.shape, generator=random))
+        yield

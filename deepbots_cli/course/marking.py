@@ -58,6 +58,8 @@ if TYPE_CHECKING:
 
 UNCHANGED = "not changed yet"
 _MAX_REASON = 400
+_NAMES_OF_TESTS = re.compile(r"`test_\w+`, |, `test_\w+`")
+"""Names that a teacher's test adds, in a list of the names that can be used."""
 _YES_OR_NO = {"true": "yes", "false": "no"}
 _Quantity = tuple[float, Dimension]
 """A number in SI units, and its dimension."""
@@ -243,16 +245,20 @@ class Marker:
     ) -> str:
         """Return a finding with its place in the file of the student; one of a test, or of what it needs, with
         that in the teacher's task."""
-        value = self.parts.get(finding.span.source.assigned or "")
+        source = finding.span.source
+        value = self.parts.get(source.assigned or "")
+        place = f"{name}.yaml"
         if is_of_student or value is not None or _is_handed_in(finding):
-            place = ":{}:{}".format(*(value or finding).span.start_position)
+            if Path(source.name).name in self.lesson.steps[name].files:
+                place = Path(source.name).name
+            place += ":{}:{}".format(*(value or finding).span.start_position)
         else:
             span = (test or finding).span
-            place = " does not fit a test of the teacher ({}/{}:{})".format(
+            place += " does not fit a test of the teacher ({}/{}:{})".format(
                 *Path(span.source.name).parts[-2:], span.start_position.line
             )
-        help = f"; {finding.help}" if finding.help else ""
-        return f"{name}.yaml{place}: {finding.headline} ({finding.code}){help}"
+        text = f"{finding.headline} ({finding.code})" + (f"; {finding.help}" if finding.help else "")
+        return f"{place}: {_NAMES_OF_TESTS.sub('', text)}"
 
     def _tests(
         self, name: str, task: Path, step: Step, assignments: Sequence[str]

@@ -25,6 +25,7 @@ from hypothesis import strategies as st
 from deepbots_cli import api
 from deepbots_cli.course import grading
 from deepbots_cli.course.copies import Weights, weights_of, without_copies
+from deepbots_cli.course.evidence import unexplained
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
 from deepbots_cli.course.hand_ins import _mentions as mentions
@@ -693,6 +694,13 @@ def test_a_policy_that_its_training_does_not_explain_earns_nothing(
     assert reason in mark.checks[0].reason
 
 
+def test_an_evaluation_that_any_policy_repeats_explains_none(tmp_path: Path) -> None:
+    put(tmp_path, short=DRIVE % (1, 2))
+    train(api.compile(tmp_path / "short.yaml"), run=tmp_path / "run", total_timesteps=1024)
+    reason = "an untrained policy repeats its evaluation after 1,024 steps as well"
+    assert unexplained(Run.open(tmp_path / "run")) == reason
+
+
 def test_the_run_that_was_trained_last_is_judged(trained: Path, tmp_path: Path) -> None:
     older = tmp_path / "own" / "runs" / "drive-7" / "run.json"
     shutil.copytree(trained / "own" / "runs" / "drive-0-1", older.parent)
@@ -700,12 +708,14 @@ def test_the_run_that_was_trained_last_is_judged(trained: Path, tmp_path: Path) 
     assert handed_in(trained, tmp_path / "own").points == 3
 
 
-def test_a_policy_with_its_neurons_in_another_order_is_the_same(trained: Path, tmp_path: Path) -> None:
+def test_a_policy_with_its_neurons_and_observations_in_another_order_is_the_same(
+    trained: Path, tmp_path: Path
+) -> None:
     run = Run.open(shutil.copytree(trained / "own" / "runs" / "drive-0-1", tmp_path / "runs" / "drive-0-1"))
     model = loaded(run, "best").model
     first, _, second, *_ = model.policy.mlp_extractor.policy_net
-    for tensor, axis in ((first.weight, 0), (first.bias, 0), (second.weight, 1)):
-        tensor.data = tensor.data.flip(axis)
+    for tensor, axes in ((first.weight, (0, 1)), (first.bias, 0), (second.weight, 1)):
+        tensor.data = tensor.data.flip(axes)
     save(run.model("last"), model)
     one, other = weights_of(tmp_path / "runs", [run.model("best"), run.model("last")])
     assert one.is_near(other)

@@ -324,18 +324,26 @@ def critic_values(policy: Any, observations: Sequence[Any]) -> Array | None:
     return np.asarray(values.cpu().numpy(), float)
 
 
-def random_answers(policy: Any, count: int) -> Array | None:
-    """Return the logits of choices, or the values of ranges, for so many random observations, the same in each
-    call, shape (count, outputs); None as for `critic_values`."""
+_PROBES = np.linspace(-1.0, 1.0, 10)
+
+
+def probed_answers(policy: Any) -> Array | None:
+    """Return the logits of choices, or the values of ranges, for observations of which one number is not zero,
+    shape (numbers x 10, outputs), in an order that is the same for numbers in another order; for other
+    spaces than vectors, None as for `critic_values`."""
     family = family_of(policy)
-    if family is None or hasattr(policy, "lstm_actor"):
+    space = policy.observation_space
+    if family is None or hasattr(policy, "lstm_actor") or not isinstance(space, spaces.Box):
         return None
     extractor, layers = family.layers(policy)
-    policy.observation_space.seed(0)
-    observations = [policy.observation_space.sample() for _ in range(count)]
+    largest = np.where(np.isfinite(space.high), space.high, 1.0).ravel()
+    observations = np.einsum("nm,p->nmp", np.diag(largest), _PROBES).swapaxes(1, 2)
     with torch.no_grad():
-        features = policy.extract_features(_stacked(policy, observations), extractor)
-        return np.asarray(layers(features).cpu().numpy(), float)
+        tensor = policy.obs_to_tensor(observations.reshape(-1, *space.shape).astype(space.dtype))[0]
+        answers = layers(policy.extract_features(tensor, extractor)).cpu().numpy().astype(float)
+    rows = answers.reshape(len(largest), -1)
+    order = np.argsort(rows @ np.random.default_rng(0).normal(size=rows.shape[1]))
+    return np.asarray(rows[order].reshape(answers.shape))
 
 
 def _stacked(policy: Any, observations: Sequence[Any]) -> Any:
