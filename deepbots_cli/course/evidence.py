@@ -61,7 +61,7 @@ def _random_weights(model: Any) -> Iterator[None]:
     plug-in."""
     import torch
 
-    policy = getattr(getattr(model, "model", None), "policy", None)
+    policy: Any = getattr(getattr(model, "model", None), "policy", None)
     random = torch.Generator().manual_seed(0)
     for scale in () if policy is None else (0, 1, 1):
         with torch.no_grad():

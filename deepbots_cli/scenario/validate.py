@@ -382,20 +382,25 @@ def _merge_outdented_entries(
         at_fault = {problem.path: problem.replacement for problem in problems}
         near = at_fault.get((*path, name))
         present = {*holder.entries, *(key.text for key in holder.keys_without_value)}
-        is_of_holder = _is_key(data, path, str(name)) or (near is not None and near.text not in present)
-        fitting = (
-            (section[-1], spaces)
-            for section, spaces in _sections_above(path, holder, following[0].key)
-            if section not in at_fault
-            and (_is_key(data, section, str(name)) or not is_of_holder)
-            and _fits(data, path, section, moved, errors)
+        is_misspelled = (
+            near is not None
+            and near.text not in present
+            and _is_improved(data, path, str(name), near.text, errors)
         )
-        section_above = next(fitting, None) if moved else None
-        if section_above is None:
+        is_of_holder = is_misspelled or _is_key(data, path, str(name))
+        fitting = (
+            _unindented(moved, section[-1], spaces, rest)
+            for section, spaces in _sections_above(path, holder, following[0].key)
+            if section not in at_fault and moved and (_is_key(data, section, str(name)) or not is_of_holder)
+            for rest in (_rest(data, section, moved[-1], spaces),)
+            if _fits(data, path, section, moved, rest, errors)
+        )
+        finding = next(fitting, None)
+        if finding is None:
             continue
         names = {entry.key.text for entry in moved}
         problems = [
-            _Problem((*path, name), _unindented(moved, *section_above)),
+            _Problem((*path, name), finding),
             *(each for each in problems if not (_is_below(each, path) and each.path[len(path)] in names)),
         ]
     return problems
@@ -405,6 +410,18 @@ def _is_key(data: Any, path: Sequence[str | int], name: str) -> bool:
     """Return whether a name is a key of the language at a path, and not one that a user may choose there."""
     section = shape_at(Scenario, data, tuple(path))
     return isinstance(section, type) and name in section.model_fields
+
+
+def _rest(data: Any, section: NodePath, entry: nodes.Entry, spaces: int) -> list[nodes.Entry]:
+    """Return the keys of `section` that a text has below an entry only because the entry is indented by so
+    many spaces less than they are."""
+    value = entry.value
+    if not isinstance(value, nodes.MappingNode) or value.span.text.startswith("{"):
+        return []
+    below = [*value.entries.values()]
+    count = next((index for index, each in enumerate(below) if _is_key(data, section, each.key.text)), 0)
+    are_beside = count and _column(below[count].key) == _column(entry.key) + spaces
+    return below[count:] if are_beside else []
 
 
 def _is_below(problem: _Problem, path: Sequence[str | int]) -> bool:
@@ -442,40 +459,61 @@ def _column(node: Node) -> int:
 
 
 def _fits(
-    data: Any, path: Sequence[str | int], section: NodePath, entries: Sequence[nodes.Entry], errors: int
+    data: Any,
+    path: Sequence[str | int],
+    section: NodePath,
+    entries: Sequence[nodes.Entry],
+    rest: Sequence[nodes.Entry],
+    errors: int,
 ) -> bool:
     """Return whether there are fewer errors, and none of the entries, if they are moved from the mapping at
-    `path` into the one at `section`, which is below it."""
+    `path` into the one at `section`, which is below it; `rest` stands in the last one, and beside it then."""
     data = holder = deepcopy(data)
     for step in path:
         holder = holder[step]
     target = holder
     for step in section[len(path) :]:
         target = target.setdefault(step, {})
+    last = holder[entries[-1].key.text]
+    beside = {entry.key.text: last.pop(entry.key.text) for entry in rest}
     names = {entry.key.text for entry in entries}
-    if not names.isdisjoint(target):
+    if not target.keys().isdisjoint(names | beside.keys()):
         return False
-    target |= {name: holder.pop(name) for name in names}
+    target |= beside | {name: holder.pop(name) for name in names}
+    left, depth = _places_of_errors(data), len(section)
+    is_at_fault = any(loc[:depth] == section and names.intersection(map(str, loc[depth:])) for loc in left)
+    return not left or (len(left) < errors and not is_at_fault)
+
+
+def _is_improved(data: Any, path: Sequence[str | int], name: str, key: str, errors: int) -> bool:
+    """Return whether there are fewer errors if the key `name` of the mapping at `path` is another key."""
+    data = holder = deepcopy(data)
+    for step in path:
+        holder = holder[step]
+    holder[key] = holder.pop(name)
+    return len(_places_of_errors(data)) < errors
+
+
+def _places_of_errors(data: Any) -> list[tuple[str | int, ...]]:
     try:
         Scenario.model_validate(data, context={LENIENT: False})
     except ValidationError as invalid:
-        left = [error["loc"] for error in invalid.errors(include_url=False, include_input=False)]
-        depth = len(section)
-        return len(left) < errors and not any(
-            loc[:depth] == section and names.intersection(map(str, loc[depth:])) for loc in left
-        )
-    return True
+        return [error["loc"] for error in invalid.errors(include_url=False, include_input=False)]
+    return []
 
 
-def _unindented(entries: Sequence[nodes.Entry], section: str | int, spaces: int) -> Finding:
+def _unindented(
+    entries: Sequence[nodes.Entry], section: str | int, spaces: int, rest: Sequence[nodes.Entry]
+) -> Finding:
     first = entries[0].key
     source = first.span.source
     more = f" and {counted(len(entries) - 1, 'more key')}" if len(entries) > 1 else ""
     begin = source.text.rfind("\n", 0, first.span.start) + 1
     depth = first.span.start - begin + spaces
-    starts = [
-        match.start() for match in re.compile(_LINE).finditer(source.text, begin, entries[-1].value.span.end)
-    ]
+    last = entries[-1].value
+    if rest and isinstance(last, nodes.MappingNode):
+        last = [*last.entries.values()][-len(rest) - 1].value
+    starts = [match.start() for match in re.compile(_LINE).finditer(source.text, begin, last.span.end)]
     if len(entries) == 1 and _column(entries[0].value) > _column(first) + spaces:
         starts = starts[:1]  # the lines below it are indented as they should be
     return Finding(

@@ -211,6 +211,13 @@ def _moved_lines(text: str, spaces: int) -> Iterator[tuple[int, str]]:
             yield number + 1, "".join([*lines[:number], " " * depth + words, *lines[number + 1 :]])
 
 
+def _moved_blocks(text: str) -> Iterator[tuple[str, str]]:
+    """Yield each block of lines by its key, and the text with the block moved to the left."""
+    for block in re.finditer(r"(?m)^(?=(  +)(\w+):[^\S\n]*(?:#.*)?\n((?:\1 +.*\n|\n)+))", text):
+        start, end = block.start(), block.end(3)
+        yield block[2], text[:start] + re.sub(r"(?m)^  ", "", text[start:end]) + text[end:]
+
+
 def _errors(text: str) -> list[Finding]:
     path = Path("mine.yaml").absolute()
     findings = analyze(Document(uri_of(path), 1, text, path), {}).findings
@@ -267,6 +274,12 @@ def test_the_fixes_of_a_line_with_too_little_indentation_lead_back_to_the_text()
     assert [(error.headline, error.span.text, error.help) for error in _errors(apply)] == [
         ("`apply` is not indented below `cart`", "apply", "indent it to 4 spaces: `    apply: ...`")
     ]
+
+
+@pytest.mark.parametrize("name", ["cartpole", "wheeled", "arm", "pit"])
+def test_the_fixes_of_a_block_with_too_little_indentation_lead_back_to_the_text(name: str) -> None:
+    right = _template(name)
+    assert [key for key, wrong in _moved_blocks(right) if _pressed(wrong) != right] == []
 
 
 @pytest.mark.parametrize("spaces", [spaces for spaces in range(-4, 5) if spaces])
