@@ -28,8 +28,10 @@ from deepbots_cli.runtime import Supervisor
 
 _STARTS = 3
 """The number of episodes with different starts, from number 0 on."""
-_MAX_WORK = 400_000.0
-"""The work of a search in the unit of `work_per_step`; 10 to 30 s of CPU."""
+_MAX_WORK = 800_000.0
+"""The work of a search in the unit of `work_per_step`; 15 to 60 s of CPU."""
+_SHARE_OF_FIXED = 0.6
+"""The share of the steps for the drivers of the first start; the others confirm and interrupt them."""
 _MAX_CONSTANTS = 27
 _MAX_PAIRS = 12
 _HOLDS = (2, 10)
@@ -79,10 +81,16 @@ class ExploitSearch(Player):
             self._write(Stop("shortened", text))
         with closing(self._environment):
             fixed = list(fixed_drivers(self._program))
-            for number in range(_STARTS):
-                for driver, kind in fixed:
-                    if number == 0 or kind in ("idle", "script"):
-                        self._play(driver, kind, number)
+            everywhere = [(driver, kind) for driver, kind in fixed if kind in ("idle", "script")]
+            for number, (driver, kind) in product(range(_STARTS), everywhere):
+                self._play(driver, kind, number)
+            enough = self._left * (1.0 - _SHARE_OF_FIXED)
+            for count, (driver, kind) in enumerate(fixed):
+                if self._left <= enough:
+                    text = f"only {count} of {len(fixed)} fixed drivers are played: the others take too long"
+                    self._write(Stop("shortened", text))
+                    break
+                self._play(driver, kind, 0)
             self._confirm()
             if self._program.defines_success and not is_better_than_success(self._episodes):
                 for number in range(_STARTS):
