@@ -1100,7 +1100,7 @@ def diagnose(training: TrainingEvidence) -> list[Statement]:
     if learned:
         # Without `solved`, failing starts are reported.
         starts = {"some_starts_fail"} if training.run.program.agent.solved is None else set()
-        explored = {"exploration_too_large"} if learned == "evaluated" else set()
+        explored = {"exploration_too_large", "changed_since_solved"} if learned == "evaluated" else set()
         rows = tuple(row for row in CAUSES if row.name in _OF_LEARNED | starts | explored)
     statements = sorted(statements_about(rows, training), key=lambda entry: -entry.evidence["likelihood"])
     has_certain = any(statement.evidence["likelihood"] >= CERTAIN for statement in statements)

@@ -421,8 +421,8 @@ class TrainingEvidence:
         which do not explore.
 
         The task is the scenario itself, or the last stage of its curriculum. The task is not learned if an
-        evaluation after the training excludes it. In a scenario without `solved`, the task is learned at a
-        success rate of 80 %.
+        evaluation after the training excludes it, or its last one in the training does. In a scenario without
+        `solved`, the task is learned at a success rate of 80 %.
         """
         solved, succeeds = self.run.program.agent.solved, self.run.program.defines_success
         required = 0.8 if solved is None else solved.success_rate or 0.0
@@ -436,8 +436,9 @@ class TrainingEvidence:
                 and fmean(successes) >= required
             )
 
-        final = SuccessRate.of(self.final_episodes)
-        excluded = succeeds and final.episodes >= MIN_EPISODES and final.high < required
+        last = self.evaluations[-1]["successes"] if succeeds and self.evaluations else []
+        rates = SuccessRate.of(self.final_episodes), SuccessRate(last)
+        excluded = succeeds and any(rate.episodes >= MIN_EPISODES and rate.high < required for rate in rates)
         is_learned = self.is_last_stage and suffices(self.episodes.successes[-100:])
         if not excluded and (is_learned or self._solved_while_exploring):
             return "exploring"

@@ -82,8 +82,8 @@ class ExploitSearch(Player):
         with closing(self._environment):
             fixed = list(fixed_drivers(self._program))
             everywhere = [(driver, kind) for driver, kind in fixed if kind in ("idle", "script")]
-            for number, (driver, kind) in product(range(_STARTS), everywhere):
-                self._play(driver, kind, number)
+            for number, simple in product(range(_STARTS), everywhere):
+                self._play(*simple, number)
             enough = self._left * (1.0 - _SHARE_OF_FIXED)
             for count, (driver, kind) in enumerate(fixed):
                 if self._left <= enough:
