@@ -511,6 +511,11 @@ class RunsTab:
                 ui.label(": ".join(filter(None, [report.get("agent"), report["verdict"]]))).classes(
                     "studio-cause"
                 )
+                if report["solved"] is None and not report["running"]:
+                    ui.label("Its policy has not been evaluated since the training ended.")
+                    bar, output = ui.element("div").classes("studio-bar"), ui.element("div")
+                    with bar:
+                        self._add_advised_command(["eval", str(path), "--details"], output)
                 if not report["causes"] and not report["solved"]:
                     ui.label(_NO_CAUSE)
                 for number, cause in enumerate(report["causes"], 1):
