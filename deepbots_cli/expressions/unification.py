@@ -58,8 +58,8 @@ WHOLE_TEXT = Replacement(CORRECTED_LINE, safe=False)
 """The replacement of the whole text of an expression by the right one."""
 WHEEL_RADIUS = "RADIUS"
 """What stands for the radius of the wheel, which this check does not know."""
-_HAND = 1.0
-"""The number of meters from which a length without a unit may be in cm or mm."""
+_HAND, _LARGE = 1.0, 10.0
+"""The numbers from which a length without a unit may be in cm or mm, and from which it probably is."""
 
 
 class StopChecking(Exception):  # noqa: N818 - no error: it carries nothing
@@ -274,10 +274,8 @@ def missing_unit(
         if dimension != ANGLE and unit and largest >= 1:
             units = (unit,)
         help = "write its unit: " + " or ".join(f"`{numbers_text} {name}`" for name in units)
-        if len(units) == 1:
-            replacement = Replacement(
-                f"{numbers_text} {units[0]}", safe=units[0] == str(dimension) and other is None
-            )
+        is_sure = len(units) == 1 and units[0] == str(dimension) and other is None
+        replacement = Replacement(f"{numbers_text} {units[0]}", safe=is_sure)
     if corrected is not None:
         help += f"; or divide the other side by its unit to get a plain number: {CORRECTED_LINE}"
     node = value._replace(start=ends[0].start, end=ends[-1].end)
@@ -308,9 +306,7 @@ def _plain_names(dimension: Dimension, *values: TypedNode) -> tuple[str | None, 
         f"{text} {unit}" for unit in _probable_units(dimension, max(map(abs, map(float, text.split()))))
     ]
     assignments = " or ".join(f"`{name}: {quantity}`" for quantity in quantities)
-    return f"{listed}: write {assignments} {location_text}", {
-        name: quantities[0] if len(quantities) == 1 else None
-    }
+    return f"{listed}: write {assignments} {location_text}", {name: quantities[0]}
 
 
 def _other_unit(first: TypedNode, second: TypedNode) -> tuple[str | None, dict[str, str | None]]:
@@ -336,9 +332,9 @@ def _other_unit(first: TypedNode, second: TypedNode) -> tuple[str | None, dict[s
 
 
 def _probable_units(dimension: Dimension, largest: float) -> tuple[str, ...]:
-    """Return the units that numbers up to `largest` probably have."""
+    """Return the units that numbers up to `largest` probably have, the likeliest first."""
     if dimension == LENGTH and largest >= _HAND:
-        return ("m", "cm", "mm")
+        return ("cm", "mm", "m") if largest >= _LARGE else ("m", "cm", "mm")
     if dimension != ANGLE:
         return (dimension.unit_behind_number,)
     return ("deg",) if largest > 2 * math.pi else ("deg", "rad")  # nobody writes three turns in radians
