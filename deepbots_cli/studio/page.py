@@ -85,12 +85,15 @@ class StudioPage:
                 self._editor.refresh,
                 self._show_state,
                 self._robot.update_parameters,
+                self._training.result.update,
+                self._runs.result.update,
+                self._lesson.update,
             ),
             "findings": (self._show_findings,),
             "files": (self._show_files,),
             "robot": (self._robot.update,),
             "training": (self._training.update, self._robot.show_offer),
-            "runs": (self._runs.update, self._robot.update_sources),
+            "runs": (self._runs.update, self._robot.update_sources, self._lesson.update),
             "task": (self._training.update, self._runs.result.update, self._command.update),
             "notice": (lambda: self._notices.show(shown.notice, is_warning=shown.is_warning),),
             "tab": (lambda: self._tabs.set_value(shown.tab),),
@@ -160,7 +163,7 @@ class StudioPage:
         panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
         with panels.props("keep-alive").classes("studio-panels"):
             with ui.tab_panel(lesson):
-                LessonTab(self._session)
+                self._lesson = LessonTab(self._session, self._explain)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._write_values, self._train)
             with ui.tab_panel(train):

@@ -480,8 +480,12 @@ def test_the_usual_time_to_go_is_that_of_the_runs_whose_solution_was_confirmed(t
     ]
     group = replace(solved[0], path=tmp_path / "group", runs=(solved[1],))
     for others in (solved, [solved[0], group]):
-        assert training.time_left(others) == "at most 1:30 min to go, usually 30 s"
-    assert training.time_left(solved[:1]) == "at most 1:30 min to go"
+        assert training.time_left(others) == "usually solved after 40,000 steps, in 30 s"
+    assert training.time_left(solved[:1]) == "up to 2 min if it is not solved earlier"
+    training._steps = ((0.0, 0), (10.0, 50_000))
+    assert training.time_left(solved).endswith(" 40,000 steps; up to 10 s if it is not solved earlier")
+    training._steps = ((0.0, 0), (5.0, 50_000))
+    assert training.time_left(solved) == ""
 
 
 # The studio itself
@@ -778,6 +782,20 @@ def test_episodes_that_all_ended_at_one_step_are_drawn_as_dots_beside_the_evalua
     assert all(line["showSymbol"] for line in options["series"])
     assert options["yAxis"][0]["minInterval"] > 0.1
     assert not options["yAxis"][1]["show"]
+
+
+def test_a_line_keeps_its_color_when_the_ones_before_it_get_points():
+    dot = np.array([100.0]), np.array([0.6])
+    few, all_ = (
+        _log(10, 20, successes=dot),
+        _log(10, 20, successes=dot, evaluations=dot, evaluated_successes=dot),
+    )
+    colors = [{line["name"]: line["itemStyle"] for line in _chart(log)["series"]} for log in (few, all_)]
+    assert colors[0].items() < colors[1].items()
+    listed = ListedRun(
+        Path("run"), "interrupted", steps=200, mean_return=20.0, success_rate=1.0, score="training"
+    )
+    assert result_text(listed, all_).endswith(", mean return 0.6 and success 60% in its last evaluation")
 
 
 def test_the_axis_of_a_running_training_reaches_to_its_last_step():

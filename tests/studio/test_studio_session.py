@@ -895,10 +895,12 @@ def test_the_commands_of_lessons_name_what_does_the_same_on_the_page() -> None:
 
 
 def test_a_lesson_on_the_page_has_no_link_that_leads_away_from_it() -> None:
-    text = with_buttons("Read [lesson 4](../04-endings/text.md) [1](https://example.org).")
-    assert text == "Read lesson 4 [1](https://example.org)."
+    text = with_buttons(
+        "[Lesson 4](../04-endings/text.md), [RL](../../docs/what-is-rl.md) [1](https://example.org)."
+    )
+    assert text == "Lesson 4, [RL](#explain:docs/what-is-rl.md) [1](https://example.org)."
     shown = [with_buttons(lesson.text("text.md")) for lesson in shipped_lessons()]
-    assert [link for text in shown for link in re.findall(r"\]\([^)]*\.md\)", text)] == []
+    assert [link for text in shown for link in re.findall(r"\]\([^#)]*\.md\)", text)] == []
 
 
 async def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):
