@@ -246,12 +246,12 @@ def _words() -> dict[str, None]:
     return dict.fromkeys(names)
 
 
-def unknown_word_message(word: str) -> str:
-    """Return the error for a word that has no entry."""
+def unknown_word_message(word: str, otherwise: str = "") -> str:
+    """Return the error for a word that has no entry, with what to do: `otherwise` if no entry is near."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
     suggestion = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
-    hint = f"; did you mean {suggestion}?" if suggestion else "; `deepbots explain` lists all findings"
+    hint = f"; did you mean {suggestion}?" if suggestion else otherwise
     related = _others(word, ())
     if not related and not suggestion:
         related = related_entries(word)

@@ -156,12 +156,16 @@ class StudioPage:
 
     def _add_work(self) -> None:
         shown = self._shown
-        self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
-        with self._tabs.props("dense no-caps align=left"):
+        with ui.tabs(on_change=lambda event: shown.open_tab(event.value)).props(
+            "dense no-caps align=left"
+        ) as self._tabs:
             lesson, train, runs, command = map(ui.tab, TABS)
         lesson.set_visibility(self._session.has_lesson)
-        panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
-        with panels.props("keep-alive").classes("studio-panels"):
+        with (
+            ui.tab_panels(self._tabs, value=shown.tab, animated=False)
+            .props("keep-alive")
+            .classes("studio-panels")
+        ):
             with ui.tab_panel(lesson):
                 self._lesson = LessonTab(self._session, self._explain)
             with ui.tab_panel(runs):
@@ -380,17 +384,22 @@ class StudioPage:
         file, language = self._file, self._session.language
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
+            if (training := self._shown.training) and code.lower().startswith("why "):
+                yield f"Diagnose {training.path.name}", partial(self._training.act, self._runs.diagnose)
             if file is None:
                 return
-            findings = [finding for finding in language.findings(file.path) if finding.code == code]
-            for finding in findings[:_MAX_FIXES]:
+            for finding in [one for one in language.findings(file.path) if one.code == code][:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
-                    title = f"Line {finding.start[0] + 1}: {fix.title}"
-                    yield title, partial(self._list.fix, file, finding, fix.title)
+                    yield (
+                        f"Line {finding.start[0] + 1}: {fix.title}",
+                        partial(self._list.fix, file, finding, fix.title),
+                    )
             for suggestion in suggestions(code):
                 if suggestion.value and not language.has_values(file, {suggestion.path: suggestion.value}):
-                    title = f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}"
-                    yield title, partial(self._write_values, {suggestion.path: suggestion.value})
+                    yield (
+                        f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}",
+                        partial(self._write_values, {suggestion.path: suggestion.value}),
+                    )
 
         def suggestions(phrase: str) -> list[Suggestion]:
             return [] if file is None else language.suggestions(file.path, phrase)

@@ -106,7 +106,7 @@ class TrainingTab:
                 ("Compare", lambda run: runs.compare(run, self._others[-1])),
                 ("Resume", runs.resume),
             ):
-                self._next[label] = ui.button(label, on_click=partial(self._act, act)).props(
+                self._next[label] = ui.button(label, on_click=partial(self.act, act)).props(
                     "dense outline no-caps"
                 )
             self._command = ui.label("").classes("studio-command")
@@ -122,8 +122,7 @@ class TrainingTab:
             self._note.set_visibility(False)
 
     def _add_steps(self) -> None:
-        self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
-        with self._steps:
+        with ui.element("ol").classes("studio-steps").props('aria-label="First steps"') as self._steps:
             for title, step in _FIRST_STEPS:
                 with ui.element("li"):
                     ui.label(title).classes("studio-step")
@@ -207,7 +206,8 @@ class TrainingTab:
         others = [run.path for run in runs if run.scenario == scenario and run.path != training.path]
         return [path.relative_to(folder) for path in others]
 
-    async def _act(self, act: Callable[..., Awaitable[None] | None]) -> None:
+    async def act(self, act: Callable[..., Awaitable[None] | None]) -> None:
+        """Call a function of the tab of runs with the shown training."""
         training = self._session.shown.training
         if training is not None:
             await self._runs.act(act, training.path.relative_to(self._session.folder))

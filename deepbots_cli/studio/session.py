@@ -256,6 +256,7 @@ class Session:
         """What the current scenario consisted of when each command about it began, by the path of its task."""
         self._stamps: Mapping[Path, object] = {}
         self._last_runs = 0.0
+        self._entries: Mapping[Path, object] = {}
 
     @property
     def language(self) -> Language:
@@ -516,6 +517,10 @@ class Session:
             self.language.update(file)
         if changed:
             self._tell("text")
+        entries = file_stamps([self.folder])
+        if entries != self._entries:  # a file is new, or gone
+            self._entries = entries
+            self._tell("files")
         stamps = file_stamps(self._watched())
         # A finished analysis may name more files, which have not changed.
         if any(stamp != stamps.get(path, stamp) for path, stamp in self._stamps.items()):
