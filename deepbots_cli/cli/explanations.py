@@ -285,12 +285,13 @@ def _significant_words(phrase: str) -> set[str]:
 
 def page_section(reference: str) -> str:
     """Return a section of a page of the documentation (Markdown), given `docs/PAGE.md#section`, or the whole
-    page without a section; empty without the page, as in an installation from a wheel."""
+    page without a section; empty without the page, as in an installation from a wheel. Blocks of code have
+    their language only, because renderers do not know the words after it."""
     page, _, section = reference.partition("#")
     path = data_dir() / page
     if not re.fullmatch(r"docs/[\w-]+\.md", page) or not path.is_file():
         return ""
-    text = path.read_text("utf-8")
+    text = re.sub(r"(?m)^(```\w+) .*$", r"\1", path.read_text("utf-8"))
     headings = [
         (found.start(), len(found[1]), re.sub(r"[^\w -]", "", found[2].lower()).replace(" ", "-"))
         for found in re.finditer(r"^(##+) (.*)$", text, re.MULTILINE)

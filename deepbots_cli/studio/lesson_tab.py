@@ -74,8 +74,8 @@ class LessonTab:
                 "dense unelevated no-caps"
             )
         with ui.element("div").classes("studio-lesson"):
-            # The renderer does not know the word `part`.
-            text = _with_pictures(lesson).replace("```yaml part", "```yaml")
+            # The renderer does not know words such as `part`.
+            text = re.sub(r"(?m)^(```\w+) .*$", r"\1", _with_pictures(lesson))
             linked(explain).classes("studio-lesson-text").set_content(with_buttons(text))
             self._steps = ui.element("div").classes("studio-lesson-steps")
         self._show()
