@@ -33,6 +33,7 @@ from deepbots_cli.studio.trainings import (
     training_chart,
 )
 from deepbots_cli.view.training_logs import TrainingLog
+from deepbots_cli.words import rate_text
 
 Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
@@ -266,15 +267,13 @@ _AGE = """at => {
 """A function of the browser for the time since a run began, from its time in s since 1970."""
 # Functions of the browser for numbers. Their columns are sorted by the numbers, and not by these texts.
 _COUNT = "value => value == null ? '' : value.toLocaleString('en')"
-_RATE = """(value, row) => value == null ? '' :
-  `${Math.round(100 * value)}%${row.score == 'training' ? ' in training' : ''}`"""
+_RATE = "(value, row) => value == null ? '' : row.rate + (row.score == 'training' ? ' in training' : '')"
 _RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))} in ${row.score}`"
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _CHANGE = (
     """<q-td :props="props"><div class="studio-clamped" :title="props.value">{{ props.value }}</div></q-td>"""
 )
-_AGE_INTERVAL_S = 30.0
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
 _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 """A column that a narrow page leaves out."""
@@ -315,7 +314,7 @@ class RunsTab:
             {"name": name, "field": name, "label": label, "align": align, "sortable": True, **more}
             for name, label, align, more in _COLUMNS
         ]
-        ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
+        ui.timer(30.0, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
             for label, act in (
@@ -384,6 +383,7 @@ class RunsTab:
                 "return": run.mean_return,
                 "score": run.score,
                 "success": run.success_rate,
+                "rate": "" if run.success_rate is None else rate_text(run.success_rate),
                 "solved": {True: "yes", False: "no", None: run.state.replace("finished", "")}[run.solved],
             }
             for run in reversed(self._session.runs)
