@@ -246,12 +246,12 @@ def _words() -> dict[str, None]:
     return dict.fromkeys(names)
 
 
-def unknown_word_message(word: str) -> str:
-    """Return the error for a word that has no entry."""
+def unknown_word_message(word: str, otherwise: str = "") -> str:
+    """Return the error for a word that has no entry, with what to do: `otherwise` if no entry is near."""
     concepts = [name for topic in topics() for name in (topic.name, *topic.names)]
     tables = concepts, list(_words()), [rule.name for rule in RULES.values()]
     suggestion = next(filter(None, (nearest_word(word, table, 0.8) for table in tables)), _beginning_of(word))
-    hint = f"; did you mean {suggestion}?" if suggestion else "; `deepbots explain` lists all findings"
+    hint = f"; did you mean {suggestion}?" if suggestion else otherwise
     related = _others(word, ())
     if not related and not suggestion:
         related = related_entries(word)
@@ -285,12 +285,13 @@ def _significant_words(phrase: str) -> set[str]:
 
 def page_section(reference: str) -> str:
     """Return a section of a page of the documentation (Markdown), given `docs/PAGE.md#section`, or the whole
-    page without a section; empty without the page, as in an installation from a wheel."""
+    page without a section; empty without the page, as in an installation from a wheel. Blocks of code have
+    their language only, because renderers do not know the words after it."""
     page, _, section = reference.partition("#")
     path = data_dir() / page
     if not re.fullmatch(r"docs/[\w-]+\.md", page) or not path.is_file():
         return ""
-    text = path.read_text("utf-8")
+    text = re.sub(r"(?m)^(```\w+) .*$", r"\1", path.read_text("utf-8"))
     headings = [
         (found.start(), len(found[1]), re.sub(r"[^\w -]", "", found[2].lower()).replace(" ", "-"))
         for found in re.finditer(r"^(##+) (.*)$", text, re.MULTILINE)

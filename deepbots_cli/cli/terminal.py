@@ -36,13 +36,13 @@ def print_result(text: str = "") -> None:
     print(printable(text))
 
 
-def print_verdict(text: str) -> None:
+def print_verdict(text: str, reasons: Sequence[str] = ()) -> None:
     """Print the result of a command in a sentence, bold on a terminal, and write it into the file that
-    `VERDICT_FILE` names."""
+    `VERDICT_FILE` names, with a line for each of the `reasons`, which the command has printed already."""
     print(f"\x1b[1m{printable(text)}\x1b[0m" if uses_color(sys.stdout) else printable(text))
     if path := os.environ.get(VERDICT_FILE):
         with suppress(OSError):
-            Path(path).write_text(text, encoding="utf-8")
+            Path(path).write_text("\n".join([text, *reasons]), encoding="utf-8")
 
 
 def note(text: str) -> None:

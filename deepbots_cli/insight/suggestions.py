@@ -22,7 +22,7 @@ from deepbots_cli.document.nodes import MappingNode, ScalarNode, entries_at, nod
 from deepbots_cli.insight.inspection import Row, link_rows
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.kinematics import bounds_of_shape, box_around, box_sides
-from deepbots_cli.robots.model import Joint, Link
+from deepbots_cli.robots.model import Link
 from deepbots_cli.scenario.fields import with_article
 from deepbots_cli.scenario.robots import JointOverride, LinkOverride
 
@@ -45,10 +45,10 @@ _AMOUNT = re.compile(
     rf"(times\b|x\b|percent\b|%|(?:{'|'.join(_UNITS)})(?![\w/*^]))"
 )
 """A number with its unit."""
+# The words before a percentage of the present value.
 _TO = re.compile(r"\bto\s+(?:(?:about|around|exactly|just|only|roughly)\s+)?$")
-"""The words before a percentage of the present value."""
+# With these words, a number with a unit is no new value.
 _DIFFERENCES = {"add", "by", "cut", "extend", "extra", "from", "lose", "off", "remove", "subtract", "take"}
-"""The words with which a number with a unit is no new value."""
 _USUAL = ("1.5", "times")
 """The amount of a phrase without one; `shorter` takes `longer` back."""
 _NUMBERS = {"half": "0.5 times", "twice": "2 times", "double": "2 times", "triple": "3 times"} | {
@@ -98,6 +98,14 @@ _OF_OTHER_KEYS = {
     ),
 } - {"mass", "scale"}
 """The words about a link that are neither about its mass nor about its length."""
+_TRAINING, _EPISODE = {"learn", "learning", "learns", "train", "training"}, {"episode", "episodes"}
+# The words about a setting, its keys, and what it is.
+_SETTINGS = (
+    (_TRAINING, ("train", "total_timesteps"), "the length of the training, in timesteps"),
+    (_EPISODE | {"time"}, ("truncation", "max_time"), "the time limit of an episode"),
+    (_EPISODE | {"time"}, ("truncation", "max_steps"), "the limit of an episode, in timesteps"),
+)
+_LESS_THAN = re.compile(r"<=?\s*(\w+)")
 _FILL_WORDS = {"a", "an", "make", "of", "please", "the", "with"}
 _QUESTIONS = {"what", "when", "where", "which", "who", "why", "no", "not", "don", "never", "without"}
 """The words of a phrase that asks for no change."""
@@ -144,11 +152,10 @@ def suggestions(checked: CheckedScenario, phrase: str) -> list[Suggestion]:
     change = _change(phrase)
     named = list(_parts(checked, words, asked, change))
     if change is not None and not change.unit:
-        named += (
-            _length_of_training(checked, asked, change.amount)
-            if words & {"learn", "learning", "learns", "train", "training"}
-            else _parameters(checked, words, asked, change.amount)
+        parameters = (
+            () if words & (_TRAINING | _EPISODE) else _parameters(checked, words, asked, change.amount)
         )
+        named += [*parameters] or _settings(checked, words, asked, change.amount)
     numbers = {  # those of names
         word
         for word in (change.rest if change is not None else ())
@@ -233,18 +240,20 @@ def _parts(
                 path = ("robots", robot.name, "links", link.name, key)
                 node = node_at(root, *path)
                 written = node.text if isinstance(node, ScalarNode) else ""
-                text = _link_text(robot.name, row, f"{key}: {written}" if written else "")
                 value = (
                     ""
                     if change is None or (words - _words(link.name)) & _OF_OTHER_KEYS
                     else _value_of_link(link, key, written, words | asked, change)
                 )
+                text = _link_text(robot.name, row, f"{key}: {written}" if written else "")
                 yield Suggestion(text, ".".join(path), value)
-        for joint in robot.model.moving_joints:
-            if _is_named(joint.name, words):
-                yield Suggestion(
-                    _joint_text(robot.name, joint), f"robots.{robot.name}.joints.{joint.name}", ""
-                )
+        for joint in filter(lambda joint: _is_named(joint.name, words), robot.model.moving_joints):
+            text = (
+                f"`{joint.name}` is {with_article(joint.type)} joint of the robot `{robot.name}`: it joins"
+                f" `{joint.child}` to `{joint.parent}`. The section `joints` of the robot changes it: `damping`,"
+                " `friction`, `range`, `armature`."
+            )
+            yield Suggestion(text, f"robots.{robot.name}.joints.{joint.name}", "")
 
 
 def _value_of_link(link: Link, key: str, written: str, words: set[str], change: _Change) -> str:
@@ -254,8 +263,9 @@ def _value_of_link(link: Link, key: str, written: str, words: set[str], change: 
         return f"{change.amount:.6g} kg" if change.unit else _multiplied(written or "urdf * 1", change.amount)
     ratio, axes = change.amount, {0, 1, 2}
     if change.unit or "length" in words or not words & {"larger", "bigger", "smaller"}:
-        parts = link.visuals or link.collisions
-        boxes = [bounds_of_shape(part.shape, frames.frame(part.origin)) for part in parts]
+        boxes = [
+            bounds_of_shape(part.shape, frames.frame(part.origin)) for part in link.visuals or link.collisions
+        ]
         sides = box_sides(box_around(boxes))
         axes = {sides.index(max(sides))}
         ratio = change.amount / max(sides) if change.unit else change.amount
@@ -273,21 +283,34 @@ def _value_of_link(link: Link, key: str, written: str, words: set[str], change: 
 def _parameters(
     checked: CheckedScenario, words: set[str], asked: set[str], factor: float
 ) -> Iterator[Suggestion]:
-    """Yield the parameters of one number that are in the phrase, or have the property that is asked for."""
+    """Yield the parameters of one number that are in the phrase, or have the property that is asked for; for a
+    goal, those below which a success is reached."""
+    goals = {
+        name
+        for entry in entries_at(checked.document.root, "termination", "success").values()
+        for name in _LESS_THAN.findall(getattr(entry.value, "text", ""))
+        if words & {"goal", "target"}
+    }
     for name, entry in entries_at(checked.document.root, "parameters").items():
-        node, is_meant = entry.value, _words(name) & asked or _is_named(name, words)
+        node, is_meant = entry.value, name in goals or _words(name) & asked or _is_named(name, words)
         if isinstance(node, ScalarNode) and _PLAIN.fullmatch(node.text) and is_meant:
             text = f"`{name}` is a parameter of this scenario: {node.text}."
             yield Suggestion(text, f"parameters.{name}", _multiplied(node.text, factor))
 
 
-def _length_of_training(checked: CheckedScenario, asked: set[str], factor: float) -> Iterator[Suggestion]:
-    """Yield the timesteps of the training, if the scenario has them and a phrase asks for a longer or a
-    shorter one."""
-    node = node_at(checked.document.root, "train", "total_timesteps")
-    if isinstance(node, ScalarNode) and asked == {"length"}:
-        text = f"`total_timesteps` is the length of the training, in timesteps: {node.text}."
-        yield Suggestion(text, "train.total_timesteps", _multiplied(node.text, factor, whole=True))
+def _settings(
+    checked: CheckedScenario, words: set[str], asked: set[str], factor: float
+) -> Iterator[Suggestion]:
+    """Yield the settings of the scenario that the words are about, if these ask for more or less of them."""
+    for about, keys, meaning in _SETTINGS:
+        node = node_at(checked.document.root, *keys)
+        if (
+            words & about
+            and isinstance(node, ScalarNode)
+            and (asked or words) & {"length", "less", "more", "time"}
+        ):
+            value = _multiplied(node.text, factor, whole=node.text.isdecimal() or "_" in node.text)
+            yield Suggestion(f"`{keys[-1]}` is {meaning}: {node.text}.", ".".join(keys), value)
 
 
 def _multiplied(text: str, factor: float, *, whole: bool = False) -> str:
@@ -311,12 +334,4 @@ def _link_text(robot: str, row: Row, written: str) -> str:
         f"`{row['link']}` is a link of the robot `{robot}`{sizes}{mass}{joint}.{present} The section `links`"
         " of the robot changes it: `scale` multiplies its size along x, y and z, and its mass follows the"
         " volume; `mass`, `friction` and `color` replace those of the robot file."
-    )
-
-
-def _joint_text(robot: str, joint: Joint) -> str:
-    return (
-        f"`{joint.name}` is {with_article(joint.type)} joint of the robot `{robot}`: it joins `{joint.child}`"
-        f" to `{joint.parent}`. The section `joints` of the robot changes it: `damping`, `friction`, `range`,"
-        " `armature`."
     )

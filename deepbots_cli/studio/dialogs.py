@@ -76,19 +76,23 @@ async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None
 
     with ui.dialog().props('aria-label="A new scenario"') as dialog, ui.card().classes("studio-dialog"):
         ui.label(_TITLES[kind].format(file.name)).classes("studio-heading")
-        name = ui.input(
-            "Name",
-            value=_free_name(session, file.stem),
-            validation={
-                "write up to 61 letters, digits, _ and -, without spaces; begin with a letter": lambda value: (
-                    _NAME.fullmatch(value or "") is not None
-                ),
-                "a file of this name exists already; choose another name": lambda value: (
-                    not (session.folder / f"{value}.yaml").exists()
-                ),
-            },
+        name = (
+            ui.input(
+                "Name",
+                value=_free_name(session, file.stem),
+                validation={
+                    "write up to 61 letters, digits, _ and -, without spaces; begin with a letter": lambda value: (
+                        _NAME.fullmatch(value or "") is not None
+                    ),
+                    "a file of this name exists already; choose another name": lambda value: (
+                        not (session.folder / f"{value}.yaml").exists()
+                    ),
+                },
+            )
+            .classes("studio-wide")
+            .props('suffix=".yaml"')
+            .on("keydown.enter", write)
         )
-        name.classes("studio-wide").props('suffix=".yaml"').on("keydown.enter", write)
         options = _robot_options(robot) if robot is not None else list
         create = _add_buttons(dialog, "Create", write)
     name.run_method("select")
@@ -197,16 +201,19 @@ class RobotUpload:
         """`on_robot` is called with the file, and awaited."""
         self._session, self._on_robot = session, on_robot
         with ui.element("div").classes("studio-upload"):
-            self._upload = ui.upload(
-                label="Drop a robot file (.urdf) here, or choose one with +",
-                on_upload=self._take,
-                on_rejected=lambda: session.shown.say(
-                    "a robot file ends in .urdf, and has up to 10 MB", is_warning=True
-                ),
-                auto_upload=True,
-                max_file_size=_MAX_ROBOT_BYTES,
-            ).props('accept=".urdf" flat bordered')
-            self._upload.classes("studio-wide")
+            self._upload = (
+                ui.upload(
+                    label="Drop a robot file (.urdf) here, or choose one with +",
+                    on_upload=self._take,
+                    on_rejected=lambda: session.shown.say(
+                        "a robot file ends in .urdf, and has up to 10 MB", is_warning=True
+                    ),
+                    auto_upload=True,
+                    max_file_size=_MAX_ROBOT_BYTES,
+                )
+                .props('accept=".urdf" flat bordered')
+                .classes("studio-wide")
+            )
 
     async def _take(self, event: events.UploadEventArguments) -> None:
         self._upload.reset()  # so that the same file can be dropped again

@@ -208,14 +208,15 @@ def _answer(query: str, of_text: OfText, here: str) -> str:
     """Return the explanation of a word: what it means at the cursor (`here`) or in the text, and its
     entries."""
     has_entry = bool(matching_rules(query) or explain_word(query).entries)
-    is_known_phrase = has_entry and " " in query
-    names = [] if here or is_known_phrase else of_text.names(query)
+    names = [] if here or (has_entry and " " in query) else of_text.names(query)
     listed = ", ".join(f"`{name}` in {line_link(line)}" for name, line in names[:_MAX_NAMES])
     in_text = [f"In this file: {listed}."] if names else []
     in_text = [f"**{query}** in this file\n\n{here}"] if here else in_text
-    in_file = [*(suggestion.text for suggestion in of_text.suggestions(query)), *in_text]
+    suggested = of_text.suggestions(query)
+    in_file = [*(suggestion.text for suggestion in suggested), *in_text]
     # What the word is at the cursor says more than the entries of all keys of this name.
-    entry = explanation(query, only_concepts=bool(here)) if has_entry or not here else ""
+    is_answered = here or any(suggestion.value for suggestion in suggested)
+    entry = "" if is_answered and not has_entry else explanation(query, only_concepts=bool(here))
     # The name of a section, such as `reward`, is a word of the language first.
     parts = [entry, *in_file] if has_entry and not here else [*in_file, entry]
     return "\n\n---\n\n".join(filter(None, parts))

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 from collections.abc import Mapping
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +19,8 @@ from deepbots_cli.studio.session import Session
 _STEP, _MIN, _MAX = 2.0, 18.0, 82.0
 """In percent of both areas: what an arrow key moves, and the limits of an area."""
 _REMEMBER = 'localStorage.setItem("deepbots-studio-size-{}", {})'
+_RECORDING = re.compile(r"; `deepbots view ([^`]+\.mcap)` [^;]*$")
+"""The end of a finding with the file of a recording, as the word of a shell."""
 _NOTICE_S = 20
 """The time in s for which a notice is shown."""
 
@@ -122,9 +127,10 @@ def text_with_code(text: str) -> ui.element:
 class TaskOutput:
     """The output of a command, with a link to the file that it has written."""
 
-    def __init__(self, sentence: ui.label | None = None) -> None:
+    def __init__(self, session: Session, sentence: ui.label | None = None) -> None:
         """`sentence` is the place for the result; with it, the output is behind `Details`."""
-        self._sentence = sentence
+        self._session, self._sentence = session, sentence
+        self._reasons = ui.element("ul").classes("studio-reasons")
         self._link = ui.link("", "", new_tab=True).classes("studio-link")
         self._link.set_visibility(False)
         self._video = (
@@ -174,19 +180,32 @@ class TaskOutput:
                 f'src="studio/output/{task.path.name}" aria-label="{Path(task.record.output).name}"'
             )
         if self._sentence is not None:
-            sentence = result_of(task)
+            sentence, *reasons = result_of(task).split("\n")
+            self._show_reasons(reasons)
             self._sentence.set_text(sentence or ("running ..." if code is None else ""))
             self._sentence.classes(**{"add" if code is None else "remove": "studio-runs"})
             if code == 0 and sentence:
                 self._details.props(remove="open")
 
+    def _show_reasons(self, reasons: list[str]) -> None:
+        """Show the findings of a result, with a button for each recording that one of them names."""
+        self._reasons.clear()
+        for reason in reasons:
+            with self._reasons, ui.element("li"):
+                text_with_code(_RECORDING.sub("", reason))
+                for name in _RECORDING.findall(reason):
+                    path = self._session.folder / shlex.split(name)[0]
+                    watch = ui.button("Watch it", on_click=partial(self._session.shown.show_robot, path))
+                    watch.props("dense outline no-caps")
+
 
 class Result:
-    """A place for what a button has brought, such as the output of a command, until the person closes it."""
+    """A place for what a button has brought, such as the output of a command, until the person closes it. It
+    says so if the text has changed since the command began."""
 
-    def __init__(self, close: str = "Close") -> None:
+    def __init__(self, session: Session, close: str = "Close") -> None:
         """`close` is the text of the button that closes the place."""
-        self._close_text = close
+        self._session, self._close_text = session, close
         self._task: Task | None = None
         self._output: TaskOutput | None = None
         self._box = ui.element("div").classes("studio-result")
@@ -200,6 +219,7 @@ class Result:
         self._box.set_visibility(True)
         with self._box, ui.element("div").classes("studio-bar studio-result-head"):
             ui.label(title).classes("studio-heading").props('role="status"')
+            ui.label("of an earlier text").classes("studio-age")
             ui.button(self._close_text, on_click=self.close).props("dense flat no-caps")
         self._box.client.run_javascript(f"getHtmlElement({self._box.id})?.scrollIntoView({{block: 'start'}})")
         with self._box:
@@ -210,13 +230,16 @@ class Result:
         """Show the output of a command while it runs, in place of what is here or in an element of it. Its
         result comes first, or is shown in `sentence`."""
         with place or self.fill(title_of(task)):
-            self._output = TaskOutput(sentence or ui.label("").classes("studio-sentence"))
+            sentence = sentence or ui.label("").classes("studio-sentence")
+            self._output = TaskOutput(self._session, sentence)
         self._task = task
         self.update()
 
     def update(self) -> None:
         if self._task is not None and self._output is not None:
             self._output.show(self._task)
+        is_old = self._task is not None and self._session.is_outdated(self._task)
+        self._box.classes(**{"add" if is_old else "remove": "studio-old"})
 
     def shows(self, place: ui.element) -> bool:
         """Return whether an element that `fill` has returned is still the one for content."""
@@ -246,7 +269,7 @@ class CommandTab:
         self._empty = ui.label("No command has run yet. Try, Test and Train start one.").classes(
             "studio-empty"
         )
-        self._output = TaskOutput()
+        self._output = TaskOutput(session)
 
     def update(self) -> None:
         task = self._session.shown.task

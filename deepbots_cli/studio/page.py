@@ -85,12 +85,15 @@ class StudioPage:
                 self._editor.refresh,
                 self._show_state,
                 self._robot.update_parameters,
+                self._training.result.update,
+                self._runs.result.update,
+                self._lesson.update,
             ),
             "findings": (self._show_findings,),
             "files": (self._show_files,),
             "robot": (self._robot.update,),
             "training": (self._training.update, self._robot.show_offer),
-            "runs": (self._runs.update, self._robot.update_sources),
+            "runs": (self._runs.update, self._robot.update_sources, self._lesson.update),
             "task": (self._training.update, self._runs.result.update, self._command.update),
             "notice": (lambda: self._notices.show(shown.notice, is_warning=shown.is_warning),),
             "tab": (lambda: self._tabs.set_value(shown.tab),),
@@ -153,14 +156,18 @@ class StudioPage:
 
     def _add_work(self) -> None:
         shown = self._shown
-        self._tabs = ui.tabs(on_change=lambda event: shown.open_tab(event.value))
-        with self._tabs.props("dense no-caps align=left"):
+        with ui.tabs(on_change=lambda event: shown.open_tab(event.value)).props(
+            "dense no-caps align=left"
+        ) as self._tabs:
             lesson, train, runs, command = map(ui.tab, TABS)
         lesson.set_visibility(self._session.has_lesson)
-        panels = ui.tab_panels(self._tabs, value=shown.tab, animated=False)
-        with panels.props("keep-alive").classes("studio-panels"):
+        with (
+            ui.tab_panels(self._tabs, value=shown.tab, animated=False)
+            .props("keep-alive")
+            .classes("studio-panels")
+        ):
             with ui.tab_panel(lesson):
-                LessonTab(self._session)
+                self._lesson = LessonTab(self._session, self._explain)
             with ui.tab_panel(runs):
                 self._runs = RunsTab(self._session, self._write_values, self._train)
             with ui.tab_panel(train):
@@ -377,17 +384,22 @@ class StudioPage:
         file, language = self._file, self._session.language
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
+            if (training := self._shown.training) and code.lower().startswith("why "):
+                yield f"Diagnose {training.path.name}", partial(self._training.act, self._runs.diagnose)
             if file is None:
                 return
-            findings = [finding for finding in language.findings(file.path) if finding.code == code]
-            for finding in findings[:_MAX_FIXES]:
+            for finding in [one for one in language.findings(file.path) if one.code == code][:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
-                    title = f"Line {finding.start[0] + 1}: {fix.title}"
-                    yield title, partial(self._list.fix, file, finding, fix.title)
+                    yield (
+                        f"Line {finding.start[0] + 1}: {fix.title}",
+                        partial(self._list.fix, file, finding, fix.title),
+                    )
             for suggestion in suggestions(code):
                 if suggestion.value and not language.has_values(file, {suggestion.path: suggestion.value}):
-                    title = f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}"
-                    yield title, partial(self._write_values, {suggestion.path: suggestion.value})
+                    yield (
+                        f"Write {suggestion.path.split('.', 2)[-1]}: {suggestion.value}",
+                        partial(self._write_values, {suggestion.path: suggestion.value}),
+                    )
 
         def suggestions(phrase: str) -> list[Suggestion]:
             return [] if file is None else language.suggestions(file.path, phrase)

@@ -10,7 +10,7 @@ from pathlib import Path
 from nicegui import ui
 
 from deepbots_cli.program import ZERO
-from deepbots_cli.rollout.drivers import HAND, POLICY_OF
+from deepbots_cli.rollout.drivers import HAND, POLICY_OF, RECORDED
 from deepbots_cli.studio.layout import ICONS
 from deepbots_cli.studio.robot_process import RobotState
 from deepbots_cli.studio.session import Session
@@ -52,6 +52,7 @@ _DRIVEN_BY = {
     "random": "driven by random actions",
     "policy": "driven by the policy of {name}",
     "you": "driven by you",
+    RECORDED: "the episode of the recording {name}",
 }
 _BY_SCRIPT = "driven by the script {driver}, which is rules written by hand, and not by a learned policy"
 _DRIVER_OPTION = f"""<q-item v-bind="props.itemProps"><q-item-section>

@@ -8,7 +8,6 @@ import json
 import re
 import shlex
 from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from nicegui import events, ui
 
 from deepbots_cli.analysis.changes import compared_meanings
 from deepbots_cli.errors import DeepbotsError, UsageError
-from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
+from deepbots_cli.learning.campaigns.listing import ListedRun
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import TIMESTEPS, changed_values, written_scenario
 from deepbots_cli.rollout.drivers import POLICY
@@ -25,16 +24,16 @@ from deepbots_cli.studio.commands import RUNS_FOLDER, Task, title_of
 from deepbots_cli.studio.layout import ICONS, Result, text_with_code
 from deepbots_cli.studio.session import Session
 from deepbots_cli.studio.trainings import (
+    WatchedTraining,
     certainty_text,
     comparison_chart,
-    read_training,
+    last_score,
     result_text,
-    score_in_training,
     score_text,
-    solved_return,
     training_chart,
 )
 from deepbots_cli.view.training_logs import TrainingLog
+from deepbots_cli.words import rate_text
 
 Guarded = Callable[[Callable[[], Any]], None]
 _FIRST_STEPS = (
@@ -87,18 +86,18 @@ class TrainingTab:
             ui.button("Train", icon=ICONS["curve"], on_click=self.train).props(
                 'dense no-caps unelevated title="Ctrl+Enter"'
             )
-            self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_training)
-            self._stop.props("dense outline no-caps")
-            timesteps = ui.input(placeholder="from the file").bind_value(session, "timesteps")
-            timesteps.props(f'dense outlined prefix="Timesteps" aria-label="Timesteps" title="{_TIMESTEPS}"')
-            timesteps.classes("studio-number studio--timesteps")
+            self._stop = ui.button("Stop", icon=ICONS["stop"], on_click=self._stop_training).props(
+                "dense outline no-caps"
+            )
+            ui.input(placeholder="from the file").bind_value(session, "timesteps").props(
+                f'dense outlined prefix="Timesteps" aria-label="Timesteps" title="{_TIMESTEPS}"'
+            ).classes("studio-number studio--timesteps")
             self._follows = ui.checkbox(
                 "Robot follows",
                 value=session.shown.follows,
                 on_change=lambda event: session.shown.follow(bool(event.value)),
             ).props('dense title="show the newest policy of the training in the robot"')
         with ui.element("div").classes("studio-bar studio-line"):
-            self._solved = ui.icon(ICONS["check"]).classes("studio-solved")
             self._text = ui.label("").classes("studio-status").props('role="status"')
             self._next: dict[str, ui.button] = {}
             for label, act in (
@@ -108,13 +107,14 @@ class TrainingTab:
                 ("Compare", lambda run: runs.compare(run, self._others[-1])),
                 ("Resume", runs.resume),
             ):
-                self._next[label] = ui.button(label, on_click=partial(self._act, act))
-                self._next[label].props("dense outline no-caps")
+                self._next[label] = ui.button(label, on_click=partial(self.act, act)).props(
+                    "dense outline no-caps"
+                )
             self._command = ui.label("").classes("studio-command")
         self._is_dark = False
         self._drawn: object = None
         with ui.element("div").classes("studio-scroll"):
-            self.result = Result()
+            self.result = Result(session)
             self._add_steps()
             # A chart that is hidden when it is made has no size, and is first drawn as a narrow strip.
             self._chart_place = ui.element("div").classes("studio-chart-place")
@@ -123,8 +123,7 @@ class TrainingTab:
             self._note.set_visibility(False)
 
     def _add_steps(self) -> None:
-        self._steps = ui.element("ol").classes("studio-steps").props('aria-label="First steps"')
-        with self._steps:
+        with ui.element("ol").classes("studio-steps").props('aria-label="First steps"') as self._steps:
             for title, step in _FIRST_STEPS:
                 with ui.element("li"):
                     ui.label(title).classes("studio-step")
@@ -150,7 +149,6 @@ class TrainingTab:
         self._command.set_text("" if task is None else task.command)
         run = None if training is None else training.listed
         solved = None if run is None or is_running else run.solved
-        self._solved.set_visibility(solved is True)
         further = {"Compare"} if self._others else set()
         has_ended = run is not None and not is_running and run.state != "training"
         ended = {"Watch", "Video", "Resume"} if has_ended else set()
@@ -158,8 +156,8 @@ class TrainingTab:
         for label, button in self._next.items():
             button.set_visibility(label in offered)
         starts = "studio-starts" if shown.training_starts else ""
-        kind = {True: "studio-solved", False: "studio-unsolved", None: starts}[solved]
-        self._text.classes(replace=f"studio-status {kind}")
+        kinds = {True: "studio-solved", False: "studio-unsolved", None: starts}
+        self._text.classes(replace=f"studio-status {kinds[solved]}")
         self._steps.set_visibility(training is None)
         if training is None or run is None:
             self._text.set_text(
@@ -209,7 +207,8 @@ class TrainingTab:
         others = [run.path for run in runs if run.scenario == scenario and run.path != training.path]
         return [path.relative_to(folder) for path in others]
 
-    async def _act(self, act: Callable[..., Awaitable[None] | None]) -> None:
+    async def act(self, act: Callable[..., Awaitable[None] | None]) -> None:
+        """Call a function of the tab of runs with the shown training."""
         training = self._session.shown.training
         if training is not None:
             await self._runs.act(act, training.path.relative_to(self._session.folder))
@@ -232,9 +231,11 @@ class TrainingTab:
 def status(run: ListedRun, log: TrainingLog | None, time_left: str) -> str:
     """Return the state and the results of a run in one line."""
     if run.state != "training":
-        return f"{result_text(run)}{certainty_text(log)}"
+        return f"{result_text(run, log)}{certainty_text(log)}"
     steps = f"training, {run.steps or 0:,} of {run.total_timesteps or 0:,} steps"
-    score = score_text(run) if log is None or log.returns is None else score_in_training(log)
+    score = score_text(run)
+    if log is not None and log.returns is not None:
+        score = last_score(log.returns, log.successes, "in training")
     return ", ".join(filter(None, (steps, score, time_left)))
 
 
@@ -266,15 +267,13 @@ _AGE = """at => {
 """A function of the browser for the time since a run began, from its time in s since 1970."""
 # Functions of the browser for numbers. Their columns are sorted by the numbers, and not by these texts.
 _COUNT = "value => value == null ? '' : value.toLocaleString('en')"
-_RATE = """(value, row) => value == null ? '' :
-  `${Math.round(100 * value)}%${row.score == 'training' ? ' in training' : ''}`"""
+_RATE = "(value, row) => value == null ? '' : row.rate + (row.score == 'training' ? ' in training' : '')"
 _RETURN = "(value, row) => value == null ? '' : `${Number(value.toPrecision(4))} in ${row.score}`"
 _SOLVED = """<q-td :props="props" :class="props.value == 'yes' ? 'studio-solved' : ''">
   {{ props.value == "yes" ? "✓ yes" : props.value }}</q-td>"""
 _CHANGE = (
     """<q-td :props="props"><div class="studio-clamped" :title="props.value">{{ props.value }}</div></q-td>"""
 )
-_AGE_INTERVAL_S = 30.0
 _SHORT = {"headerStyle": "white-space: nowrap", "style": "white-space: nowrap"}
 _WIDE = {**_SHORT, "classes": "studio-minor", "headerClasses": "studio-minor"}
 """A column that a narrow page leaves out."""
@@ -315,7 +314,7 @@ class RunsTab:
             {"name": name, "field": name, "label": label, "align": align, "sortable": True, **more}
             for name, label, align, more in _COLUMNS
         ]
-        ui.timer(_AGE_INTERVAL_S, lambda: self._table.update())
+        ui.timer(30.0, lambda: self._table.update())
         self._buttons: dict[str, ui.button] = {}
         with ui.element("div").classes("studio-bar"):
             for label, act in (
@@ -338,15 +337,16 @@ class RunsTab:
                 ("Compare", self.compare),
                 ("Resume", self.resume),
             ):
-                self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act))
                 number = "two runs" if label == "Compare" else "one run"
-                self._buttons[label].props(f'dense outline no-caps title="of {number}, selected in the list"')
+                self._buttons[label] = ui.button(label, on_click=partial(self._act_on_selected, act)).props(
+                    f'dense outline no-caps title="of {number}, selected in the list"'
+                )
         with ui.element("div").classes("studio-scroll"):
+            self.result = Result(session, "Back to the runs")
             self._add_table()
         self._show_buttons()
 
     def _add_table(self) -> None:
-        self.result = Result("Back to the runs")
         self._table = (
             ui.table(columns=self._columns, rows=[], row_key="name", selection="multiple", pagination=0)
             .props("dense flat wrap-cells hide-pagination hide-selected-banner")
@@ -383,6 +383,7 @@ class RunsTab:
                 "return": run.mean_return,
                 "score": run.score,
                 "success": run.success_rate,
+                "rate": "" if run.success_rate is None else rate_text(run.success_rate),
                 "solved": {True: "yes", False: "no", None: run.state.replace("finished", "")}[run.solved],
             }
             for run in reversed(self._session.runs)
@@ -473,19 +474,20 @@ class RunsTab:
         one, other = sorted(paths, key=lambda path: begun.get(path, 0.0))
         place = self._fill(f"Comparison of {one.name} and {other.name}", one, other)
         task = self._session.commands.run(["compare", str(one), str(other)])
-        runs = await asyncio.to_thread(lambda: [read_listed(folder / path) for path in (one, other)])
-        logs = {
-            path.name: log
-            for path in (one, other)
-            if (log := await asyncio.to_thread(_log_or_none, folder / path)) is not None
-        }
+        runs = [WatchedTraining(folder / path) for path in (one, other)]
+        for run in runs:
+            await asyncio.to_thread(run.read)
+        logs = {run.path.name: run.log for run in runs if run.log is not None}
         differences, same_returns = await asyncio.to_thread(_differences, folder / one, folder / other)
         if not self.result.shows(place):  # it was closed, or shows something newer
             return
         with place:
             with ui.element("div").classes("studio-advice"):
                 sentence = ui.label("").classes("studio-cause")
-                ui.label("; ".join(f"{run.path.name} is {result_text(run)}" for run in runs))
+                results = (
+                    f"{run.path.name}: {result_text(run.listed, run.log)}" for run in runs if run.listed
+                )
+                ui.label("; ".join(results))
                 ui.label(_unbroken(differences))
                 if not same_returns:
                     ui.label("Their rewards differ, so their returns cannot be compared.")
@@ -661,12 +663,3 @@ def _differences(one: Path, other: Path) -> tuple[str, bool]:
         return f"{other.name} and {one.name} cannot be compared value by value: {error}.", True
     changes = "; ".join(map(str, values)) or "nothing"
     return f"{other.name} differs from {one.name} in {changes}.", not meanings.reward
-
-
-def _log_or_none(run: Path) -> TrainingLog | None:
-    with suppress(DeepbotsError):
-        log = read_training(run)
-        if log is not None:
-            log.solved_return = solved_return(run)
-        return log
-    return None

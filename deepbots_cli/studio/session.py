@@ -18,16 +18,18 @@ from tempfile import TemporaryDirectory
 from typing import Literal, get_args
 
 from deepbots_cli.course.grading import PROGRESS_NAME
+from deepbots_cli.course.marking import StepMark
 from deepbots_cli.document import Permissions
 from deepbots_cli.errors import DeepbotsError, UsageError
 from deepbots_cli.files import file_stamps
+from deepbots_cli.learning.campaigns.changes import RunChange, RunChanges
 from deepbots_cli.learning.campaigns.listing import ListedRun, list_runs
 from deepbots_cli.rollout.drivers import POLICY
 from deepbots_cli.studio.commands import RUNS_FOLDER, STUDIO_FOLDER, Commands, Task
 from deepbots_cli.studio.files import OpenFile, changed_lines, difference, read_text
 from deepbots_cli.studio.language import Language, written_parameters
 from deepbots_cli.studio.robot import Robot
-from deepbots_cli.studio.trainings import RunChange, RunChanges, WatchedTraining
+from deepbots_cli.studio.trainings import WatchedTraining
 
 _WATCH_INTERVAL_S = 0.5
 _RUNS_INTERVAL_S = 5.0
@@ -227,6 +229,7 @@ class Session:
         runs: The runs of the folder, the newest last.
         run_changes: The start and the changes of each run, by its path.
         timesteps: The timesteps of the next training; empty for those of the file.
+        marked: The marks of each step of a lesson, and what they are of.
     """
 
     def __init__(self, folder: Path, permissions: Permissions = Permissions()) -> None:
@@ -235,7 +238,7 @@ class Session:
         self.files: dict[Path, OpenFile] = {}
         self.current: Path | None = None
         self.robot = Robot(permissions, lambda: self.shown.robot_changed())
-        self.commands = Commands(self.folder, permissions, lambda task: self.shown.started(task))
+        self.commands = Commands(self.folder, permissions, self._started)
         self.shown = Shown(self.robot, self.commands, self._tell)
         self.has_lesson = (self.folder / PROGRESS_NAME).is_file()
         if self.has_lesson:
@@ -244,12 +247,16 @@ class Session:
         self.run_changes: dict[Path, RunChange] = {}
         self._changes = RunChanges()
         self.timesteps = ""
+        self.marked: dict[str, tuple[StepMark, str]] = {}
         self._listeners: list[Listener] = []
         self._language: Language | None = None
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
         self._written: dict[tuple[Path, str], str] = {}
+        self._texts: dict[Path, Mapping[Path, object]] = {}
+        """What the current scenario consisted of when each command about it began, by the path of its task."""
         self._stamps: Mapping[Path, object] = {}
         self._last_runs = 0.0
+        self._entries: Mapping[Path, object] = {}
 
     @property
     def language(self) -> Language:
@@ -338,8 +345,7 @@ class Session:
     def change(self, file: OpenFile, revision: int, text: str) -> bool:
         """Take the text of a browser, as `OpenFile.change` does."""
         is_same = file.change(revision, text)
-        self.language.update(file)
-        self._tell("text")
+        self.edited(file)
         return is_same
 
     def edited(self, file: OpenFile) -> None:
@@ -414,6 +420,24 @@ class Session:
 
     # Commands
 
+    def _started(self, task: Task) -> None:
+        is_of_text = self.current is not None and self._current_name in task.record.words
+        self._texts[task.path] = self._contents() if is_of_text else {}
+        self.shown.started(task)
+
+    def is_outdated(self, task: Task) -> bool:
+        """Return whether a command was about the current scenario, whose text or robot has changed since."""
+        now = self._contents()
+        return any(now.get(path, was) != was for path, was in self._texts.get(task.path, {}).items())
+
+    def _contents(self) -> dict[Path, object]:
+        """Return the texts of the open files that the current scenario reads, and the stamps of its files that
+        cannot be opened, such as robot files."""
+        stamps = {
+            path: each for path, each in file_stamps(self._watched()).items() if path.suffix not in _SUFFIXES
+        }
+        return stamps | {path: file.text for path, file in self.files.items() if path in self._watched()}
+
     async def picture(self) -> bytes:
         """Return a picture (PNG) of the shown scenario or run at the start of an episode; empty if there is
         none, for example because the scenario has errors."""
@@ -441,7 +465,12 @@ class Session:
             file = self.files.get(path)
             if file is not None and file.is_modified and not file.read_only:
                 self.save(file)
-        name = str(self.current.relative_to(self.folder))
+        return self._current_name
+
+    @property
+    def _current_name(self) -> str:
+        """The current scenario as commands get it."""
+        name = self.name_of(self.current) if self.current is not None else ""
         return f"./{name}" if name.startswith("-") else name
 
     # Watching
@@ -488,6 +517,10 @@ class Session:
             self.language.update(file)
         if changed:
             self._tell("text")
+        entries = file_stamps([self.folder])
+        if entries != self._entries:  # a file is new, or gone
+            self._entries = entries
+            self._tell("files")
         stamps = file_stamps(self._watched())
         # A finished analysis may name more files, which have not changed.
         if any(stamp != stamps.get(path, stamp) for path, stamp in self._stamps.items()):

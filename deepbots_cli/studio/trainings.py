@@ -1,12 +1,14 @@
-"""What files say about trainings: their learning curves, as ECharts draws them, the time that is left, their
-results, and what each changed against the one before it."""
+"""What files say about trainings: their learning curves, as ECharts draws them, the time that is left, and
+their results."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
 from contextlib import suppress
-from functools import cache, cached_property
+from functools import cached_property
+from itertools import cycle
+from math import ceil
 from pathlib import Path
 from statistics import median
 from typing import Any, Literal
@@ -15,10 +17,7 @@ import numpy as np
 
 from deepbots_cli.errors import DeepbotsError, RunError
 from deepbots_cli.learning.campaigns.listing import ListedRun, read_listed
-from deepbots_cli.learning.report import duration
-from deepbots_cli.learning.runs.run import Run, RunRecord
-from deepbots_cli.learning.runs.verdict import changed_values, listed_values, started
-from deepbots_cli.records import dataclass
+from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.rollout.source import folder_kind
 from deepbots_cli.view.training_logs import Curve, TrainingLog, read_logs
 from deepbots_cli.words import counted, number_text, rate_text
@@ -28,10 +27,7 @@ MAX_POINTS = 400
 _MIN_INTERVAL_S = 1.0
 _COST_FACTOR = 25.0
 """The time between two reads over the CPU time of a read: reading takes at most 4 % of a core."""
-_SPEED_WINDOW_S = 30.0
-_STILL_S = 5.0
-_MAX_RUNS = 40
-"""The number of runs, the newest ones, that are compared: a comparison compiles both scenarios."""
+_SPEED_WINDOW_S, _MEASURED_S, _STILL_S = 120.0, 10.0, 5.0
 _COLORS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00", "#56B4E9")
 """Colors that people with any color vision tell apart (Okabe and Ito)."""
 _COLORS_ON_DARK = ("#56B4E9", "#2FC79A", "#E69F00", "#E7A3C7", "#F0E442", "#D55E00")
@@ -66,33 +62,36 @@ def read_training(run: Path) -> TrainingLog | None:
         return None
 
 
-def result_text(run: ListedRun) -> str:
+def result_text(run: ListedRun, log: TrainingLog | None = None) -> str:
     """Return whether a run is solved, after how many steps, whether it stopped before its last timestep for
-    that, and the mean return."""
+    that, and its score: without an evaluation of its own, that of the last one during the training."""
     verdict = {True: "solved", False: "not solved", None: run.state}[run.solved]
     steps = run.solved_after if run.solved and run.solved_after else run.steps
     after = f" after {steps:,} steps" if steps else ""
     is_early = run.stopped_as_solved and (run.steps or 0) < (run.total_timesteps or 0)
     stopped = "so it stopped" if run.solved and is_early else ""
-    return ", ".join(filter(None, (verdict + after, stopped, score_text(run))))
+    score = score_text(run)
+    if run.score == "training" and log is not None and log.evaluations is not None:
+        score = last_score(log.evaluations, log.evaluated_successes, "in its last evaluation")
+    return ", ".join(filter(None, (verdict + after, stopped, score)))
 
 
 def score_text(run: ListedRun) -> str:
     """Return the mean return and the success rate of a run, and of which episodes they are; empty without."""
-    if run.mean_return is None:
-        return ""
-    success = "" if run.success_rate is None else f" and success {rate_text(run.success_rate)}"
-    return f"mean return {number_text(run.mean_return)}{success} in {run.score}"
+    return "" if run.mean_return is None else _score(f"in {run.score}", run.mean_return, run.success_rate)
 
 
-def score_in_training(log: TrainingLog) -> str:
-    """Return the score at the end of the curves. The record of a run that trains is as old as its last
+def last_score(returns: Curve, successes: Curve | None, origin: str) -> str:
+    """Return the score at the end of curves. The record of a run that trains is as old as its last
     checkpoint."""
-    curves = [curve for curve in (log.returns, log.successes) if curve is not None]
     # A stage that has begun is a nan.
-    last = [float(values[~np.isnan(values)][-1]) for _, values in curves]
-    success = "".join(f" and success {rate_text(rate)}" for rate in last[1:])
-    return f"mean return {number_text(last[0])}{success} in training"
+    last = [float(curve[1][~np.isnan(curve[1])][-1]) for curve in (returns, successes) if curve is not None]
+    return _score(origin, *last)
+
+
+def _score(origin: str, mean_return: float, success_rate: float | None = None) -> str:
+    success = "" if success_rate is None else f" and success {rate_text(success_rate)}"
+    return f"mean return {number_text(mean_return)}{success} {origin}"
 
 
 def certainty_text(log: TrainingLog | None) -> str:
@@ -105,15 +104,6 @@ def certainty_text(log: TrainingLog | None) -> str:
     ends = map(rate_text if is_rate else number_text, interval or ())
     between = f"95 %: {' .. '.join(ends)}; " if interval else ""
     return f" ({between}{counted(result.episodes, 'episode')})"
-
-
-def solved_return(run: Path) -> float | None:
-    """Return the mean return with which the task of a run is solved, None if there is none; the scenario is
-    compiled."""
-    with suppress(DeepbotsError):
-        solved = Run.open(run).program.agent.solved
-        return solved.mean_return if solved is not None else None
-    return None
 
 
 class WatchedTraining:
@@ -141,24 +131,25 @@ class WatchedTraining:
         return (is_running or not self._ended) and time.monotonic() >= self._due
 
     def time_left(self, others: Iterable[ListedRun]) -> str:
-        """Return the longest time to go at the present speed, and the usual one if a confirmation showed
-        when others of these runs had solved the scenario; empty while it is unknown."""
+        """Return the time to go at the measured speed: until the steps after which others of these runs had
+        solved the scenario, as a confirmation showed, or else until the last timestep. It is empty while the
+        speed is unknown."""
         run, steps = self.listed, self._steps
         if run is None or run.state != "training" or not run.total_timesteps or len(steps) < 2:
             return ""
         (begin, first), (end, last) = steps[0], steps[-1]
-        if last <= first or end - begin < _STILL_S:
+        if last <= first or end - begin < _MEASURED_S:
             return ""
-        per_step = (end - begin) / (last - first)
-        longest = f"at most {duration(max(0.0, (run.total_timesteps - last) * per_step))} to go"
-        solved = [
-            member.solved_after
-            for other in others
-            for member in (other.runs or [other])
-            if member.solved_after and member.scenario == run.scenario
-        ]
-        usual = median(solved) - last if solved else 0.0
-        return f"{longest}, usually {duration(usual * per_step)}" if usual > 0 else longest
+        members = [member for other in others for member in (other.runs or [other])]
+        solved = [one.solved_after for one in members if one.solved_after and one.scenario == run.scenario]
+        usual = median(solved) if solved else 0.0
+        goal = usual if usual > last else run.total_timesteps
+        seconds = max(0.0, goal - last) * (end - begin) / (last - first)
+        left = f"{ceil(seconds / 60)} min" if seconds > 60 else f"{ceil(seconds)} s"
+        if usual > last:
+            return f"usually solved after {usual:,.0f} steps, in {left}"
+        longer = f"usually solved after {usual:,.0f} steps; " if solved else ""
+        return f"{longer}up to {left} if it is not solved earlier"
 
     @property
     def stands_still(self) -> bool:
@@ -195,61 +186,15 @@ class WatchedTraining:
 
     @cached_property
     def _goal(self) -> float | None:
-        return solved_return(self.path)
+        """The mean return with which the task is solved, None if there is none; the scenario is compiled."""
+        with suppress(DeepbotsError):
+            solved = Run.open(self.path).program.agent.solved
+            return solved.mean_return if solved is not None else None
+        return None
 
     def watch_again(self) -> None:
         """Read the files again soon, because a command works on the run."""
         self._ended, self._due = False, 0.0
-
-
-@dataclass(frozen=True)
-class RunChange:
-    """The begin of a run, in s since 1970, and what it changed against the run of this scenario before it."""
-
-    started: float
-    text: str
-
-
-class RunChanges:
-    """The changes of the runs of a folder; each pair of runs is compared once."""
-
-    def __init__(self) -> None:
-        self._started: dict[Path, float] = {}
-        self._texts: dict[tuple[object, ...], str] = {}
-
-    def read(self, runs: Sequence[ListedRun]) -> dict[Path, RunChange]:
-        """Return the change of each single run; call it in a thread."""
-        single = [run for run in runs if not run.runs and run.problem is None]
-        begun = {run.path: self._started.get(run.path) or _started(run.path) for run in single}
-        self._started = begun
-        last: dict[str, ListedRun] = {}
-        changes: dict[Path, RunChange] = {}
-        opened = cache(Run.open)
-        for run in sorted(single, key=lambda run: begun[run.path])[-_MAX_RUNS:]:
-            before = last.get(run.scenario)
-            text = "first run" if before is None else self._compared(before, run, opened)
-            changes[run.path] = RunChange(begun[run.path], text)
-            last[run.scenario] = run
-        return changes
-
-    def _compared(self, before: ListedRun, run: ListedRun, opened: Callable[[Path], Run]) -> str:
-        # A resumed training has more timesteps.
-        key = tuple((side.path, side.digest, side.total_timesteps) for side in (before, run))
-        if key not in self._texts:
-            try:
-                values = changed_values(opened(before.path), opened(run.path))
-                self._texts[key] = listed_values(values) or "nothing"
-            except (DeepbotsError, OSError):
-                self._texts[key] = "cannot be compared"
-        return self._texts[key]
-
-
-def _started(path: Path) -> float:
-    """Return the time at which a training began, in s since 1970; 0 if its record cannot be read."""
-    try:
-        return started(RunRecord.read(path))
-    except DeepbotsError:
-        return 0.0
 
 
 # Charts
@@ -260,21 +205,23 @@ def training_chart(log: TrainingLog, *, dark: bool) -> dict[str, Any]:
     evaluations = log.evaluations
     if evaluations is None and log.evaluation is not None:  # the one after the training
         evaluations = np.array([log.last_step]), np.array([log.evaluation.mean_return])
+    # A single term is the return itself.
+    terms = [_line(name, curve, 0, "dashes") for name, curve in log.terms.items() if len(log.terms) > 1]
     lines = [
         _line("return in training", log.returns, 0),
         _line("evaluated return", evaluations, 0, "marks"),
+        _line("success in training", log.successes, 1),
+        _line(
+            "evaluated success", log.evaluated_successes if log.successes is not None else None, 1, "marks"
+        ),
+        *_goals([log], dark=dark),
+        *terms,
     ]
-    has_successes = log.successes is not None
-    if has_successes:
-        lines += [
-            _line("success in training", log.successes, 1),
-            _line("evaluated success", log.evaluated_successes, 1, "marks"),
-        ]
-    # A single term is the return itself.
-    shown_terms = log.terms if len(log.terms) > 1 else {}
-    terms = [_line(name, curve, 0, "dashes") for name, curve in shown_terms.items()]
+    # ECharts would give a line another color when one before it gets its first point.
+    for color, line in zip(cycle(_COLORS_ON_DARK if dark else _COLORS), lines, strict=False):
+        line.setdefault("itemStyle", {"color": color})
     stages = [{"xAxis": at, "label": {"formatter": name}} for name, at in log.stages[1:]]
-    options = _chart([*lines, *_goals([log], dark=dark), *terms], [log], has_successes, dark)
+    options = _chart(lines, [log], dark)
     if stages:
         text = {"color": options["legend"]["textStyle"]["color"]}
         lines[0]["markLine"] = {"data": stages, "symbol": "none", "silent": True, "label": text}
@@ -298,17 +245,15 @@ def comparison_chart(logs: dict[str, TrainingLog], *, has_returns: bool, dark: b
             lines.append({**line, "itemStyle": {"color": color}, "z": 2 + by_length.index(name)})
     if not any(line["data"] for line in lines):
         return None
-    has_successes = any(log.successes is not None for log in logs.values())
     goals = _goals(logs.values(), dark=dark) if has_returns else []
-    options = _chart([*lines, *goals], logs.values(), has_successes, dark)
+    options = _chart([*lines, *goals], logs.values(), dark)
     options["yAxis"][0]["show"] = has_returns
     return options
 
 
-def _chart(
-    lines: list[dict[str, Any]], logs: Collection[TrainingLog], has_successes: bool, dark: bool
-) -> dict[str, Any]:
+def _chart(lines: list[dict[str, Any]], logs: Collection[TrainingLog], dark: bool) -> dict[str, Any]:
     """Return a chart with axes for these trainings. Lines without points are left out."""
+    has_successes = any(log.successes is not None for log in logs)
     lines = [line for line in lines if line["data"]]
     kinds = {line["name"]: line["kind"] for line in reversed(lines)}  # the evaluations of a run have its name
     text = {"color": "#cccccc" if dark else "#444444"}
@@ -319,7 +264,6 @@ def _chart(
         "splitLine": {"lineStyle": {"color": _GRID_COLOR}},
     }
     return {
-        "color": list(_COLORS_ON_DARK if dark else _COLORS),
         "animation": False,
         "grid": {"left": 66, "right": 66 if has_successes else 34, "top": 44, "bottom": 36},
         "tooltip": {

@@ -10,6 +10,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from io import BytesIO
 from itertools import pairwise, product
@@ -20,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deepbots_cli import frames, geometry
-from deepbots_cli.engines.mechanics import arena_walls, forms_of, rigid_group
+from deepbots_cli.engines.mechanics import LINK_COLORS, arena_walls, forms_of, rigid_group
 from deepbots_cli.errors import EngineError
 from deepbots_cli.frames import Triple
 from deepbots_cli.port import ZERO_VECTOR, View
@@ -399,7 +400,8 @@ class WorldScene:
             if (name, head) not in self._nodes:
                 self._node((name, head))
             for index, visual in enumerate(link.visuals or link.collisions):
-                self._add(f"{self._path_of((name, head))}/{number}_{index}", visual, pose)
+                colored = replace(visual, color=visual.color or LINK_COLORS[number % len(LINK_COLORS)])
+                self._add(f"{self._path_of((name, head))}/{number}_{index}", colored, pose)
         self._label((name, groups[model.root][0]), name)
 
     def _build_object(self, name: str, forms: Mapping[str, Any]) -> None:

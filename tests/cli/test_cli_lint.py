@@ -49,6 +49,7 @@ from deepbots_cli.lint.pages import every_page
 from deepbots_cli.lint.settings import settings as project_settings
 from deepbots_cli.lsp.server import diagnostics
 from deepbots_cli.lsp.workspace import Document, analyze, uri_of
+from deepbots_cli.processes import VERDICT_FILE
 from deepbots_cli.view.episodes import Showing
 from tests.commands import Ran
 from tests.worlds import CART
@@ -280,16 +281,13 @@ def parked(deepbots, tmp_path):
     return tmp_path
 
 
-def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepbots, parked):
-    (finding,) = json.loads(
-        deepbots(
-            "lint", "parked.yaml", "--exploits", "--select", "DB713", "--fail-on", "warning", "--json", code=1
-        ).out
-    )["findings"]
-    assert (finding["code"], finding["file"], finding["start"]["line"]) == ("DB713", "parked.yaml", 5)
-    assert (
-        finding["notes"][-1] == "`deepbots view exploits/parked/pays-without-success.mcap` shows the episode"
-    )
+def test_an_exploit_is_a_finding_like_any_other_and_its_recording_is_exact(deepbots, parked, monkeypatch):
+    monkeypatch.setenv(VERDICT_FILE, "verdict")
+    deepbots("lint", "parked.yaml", "--exploits", "--select", "DB713", "--fail-on", "warning", code=1)
+    # The studio shows the finding, and plays the recording.
+    recording = "; `deepbots view exploits/parked/pays-without-success.mcap` shows the episode"
+    verdict = Path("verdict").read_text("utf-8")
+    assert re.fullmatch(rf"1 warning\nparked\.yaml:5:9: .*{re.escape(recording)}", verdict)
     assert (
         deepbots("replay", "--verify", "exploits/parked/pays-without-success.mcap").out.split(": ")[1]
         == "1 episode and 60 steps are the same to the bit\n"

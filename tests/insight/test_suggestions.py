@@ -46,6 +46,8 @@ PARTS = {
     "make the training half as long, shorter": ("train.total_timesteps", "50_000"),
     "make the training 3 times shorter": ("train.total_timesteps", "33_333"),
     "train for half as long": ("train.total_timesteps", "50_000"),
+    "make the episodes longer": ("truncation.max_steps", "300"),
+    "give it twice as much time": ("truncation.max_steps", "400"),
     "make the pole 1,000 g": (_MASS, "1 kg"),
     "make the wheels twice as slow": ("parameters.wheel_speed", "2.5 rad/s"),
     "make the wheels half as slow": ("parameters.wheel_speed", "10 rad/s"),
@@ -93,7 +95,14 @@ more friction of the pole
 make the pole hinge 2 times stiffer
 the pole no longer falls
 """
-NO_CHANGE = ("fall_angle", "what is a policy", "how does it learn faster", "", "a larger drawn")
+NO_CHANGE = (
+    "fall_angle",
+    "what is a policy",
+    "how does it learn faster",
+    "",
+    "a larger drawn",
+    "a higher learning rate",
+)
 
 
 @pytest.mark.parametrize("phrase", PARTS)
@@ -156,6 +165,7 @@ def test_a_value_that_is_offered_compiles_with_the_direction_and_amount_of_the_p
     ("phrase", "override", "paths"),
     [
         ("make a pole longer", "parameters={a: 2 m, _: 1 m}", [_SCALE]),  # an article is no name
+        ("a bigger goal", "termination.success={up: lean < fall_angle}", ["parameters.fall_angle"]),
         ("go faster", "parameters.wheel_speed=1 rad/s if 1 > 2 else 2 rad/s", []),
     ],
 )

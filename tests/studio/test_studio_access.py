@@ -480,8 +480,14 @@ def test_the_usual_time_to_go_is_that_of_the_runs_whose_solution_was_confirmed(t
     ]
     group = replace(solved[0], path=tmp_path / "group", runs=(solved[1],))
     for others in (solved, [solved[0], group]):
-        assert training.time_left(others) == "at most 1:30 min to go, usually 30 s"
-    assert training.time_left(solved[:1]) == "at most 1:30 min to go"
+        assert training.time_left(others) == "usually solved after 40,000 steps, in 30 s"
+    assert training.time_left(solved[:1]) == "up to 2 min if it is not solved earlier"
+    for seconds, left in (
+        (10.0, "usually solved after 40,000 steps; up to 10 s if it is not solved earlier"),
+        (5.0, ""),
+    ):
+        training._steps = ((0.0, 0), (seconds, 50_000))
+        assert training.time_left(solved) == left
 
 
 # The studio itself
@@ -690,8 +696,9 @@ def test_a_dot_above_the_goal_is_not_cut_off_by_the_range_of_the_points_before()
     assert merged["boundaryGap"][1] != 0
 
 
-def test_the_axis_reaches_up_to_the_goal_which_a_comparison_has_once():
-    log = _log(10, 20, solved_return=50.0)
+def test_the_axes_reach_to_the_last_step_and_up_to_the_goal_which_a_comparison_has_once():
+    planned, log = _log(10, 20, planned_steps=1000.0), _log(10, 20, solved_return=50.0)
+    assert [_chart(each)["xAxis"]["max"] for each in (planned, log)] == [1000.0, 100.0]
     options = _chart(log)
     assert max([value for line in options["series"] for _, value in line["data"]]) == 50.0
     assert [entry["name"] for entry in options["legend"]["data"]] == ["return in training", "solved: 50"]
@@ -704,11 +711,8 @@ def test_returns_of_different_rewards_share_no_axis():
     options = comparison_chart({"a": log, "b": log}, has_returns=False, dark=False)
     assert [line["name"] for line in options["series"]] == ["a success", "b success"]
     assert not options["yAxis"][0]["show"]
-
-
-def test_a_comparison_with_different_rewards_and_no_success_has_no_empty_chart():
-    log = _log(10, 20)
-    assert comparison_chart({"a": log, "b": log}, has_returns=False, dark=False) is None
+    # Without successes, there would be an empty chart.
+    assert comparison_chart({"a": _log(10, 20)}, has_returns=False, dark=False) is None
 
 
 MAX_NOTICE_WORDS = 12
@@ -780,9 +784,18 @@ def test_episodes_that_all_ended_at_one_step_are_drawn_as_dots_beside_the_evalua
     assert not options["yAxis"][1]["show"]
 
 
-def test_the_axis_of_a_running_training_reaches_to_its_last_step():
-    assert _chart(_log(10, 20, planned_steps=1000.0))["xAxis"]["max"] == 1000.0
-    assert _chart(_log(10, 20))["xAxis"]["max"] == 100.0
+def test_a_line_keeps_its_color_when_the_ones_before_it_get_points():
+    dot = np.array([100.0]), np.array([0.6])
+    few, all_ = (
+        _log(10, 20, successes=dot),
+        _log(10, 20, successes=dot, evaluations=dot, evaluated_successes=dot),
+    )
+    colors = ({line["name"]: line["itemStyle"] for line in _chart(log)["series"]} for log in (few, all_))
+    assert next(colors).items() < next(colors).items()
+    listed = ListedRun(
+        Path("run"), "interrupted", steps=200, mean_return=20.0, success_rate=1.0, score="training"
+    )
+    assert result_text(listed, all_).endswith(", mean return 0.6 and success 60% in its last evaluation")
 
 
 @pytest.mark.parametrize(("lowest", "begins_at_zero"), [(10.0, True), (0.0, True), (-10.0, False)])

@@ -225,7 +225,7 @@ def test_two_runs_are_drawn_over_each_other_and_a_change_is_set_back(folder, new
         page.tab.run("document.querySelectorAll('tbody .q-checkbox')[0].click()")
         page.click("Compare")
         result = "document.querySelector('.studio-result').innerText"
-        page.wait(f"/mine-1 is solved after .*; mine-2 is not solved after .*/.test({result})")
+        page.wait(f"/mine-1: solved after .*; mine-2: not solved after .*/.test({result})")
         assert page.tab.run(f"/mine-2 differs from mine-1 in .*100.→.30/.test({result})")
         page.wait("document.querySelector('.studio-compared canvas, .studio-compared svg') != null")
         page.wait(f"/mine-2 and mine-1 cannot be compared/.test({result})", 120)

@@ -169,13 +169,15 @@ async def test_an_added_entry_is_removed_with_the_section_that_it_alone_is_in(fo
     async with Running(folder) as (_, session):
         session.show(Path("mine.yaml"))
         file = session.files[session.current]
+        task = session.commands.run(["lint", session.saved_name()])
         lines = session.write_values({"reward.bonus": "0.1", "robots.cart.links.pole": "{scale: 1 1 2}"})
         assert [file.text.split("\n")[line] for line in lines] == [
             "    links: {pole: {scale: 1 1 2}}",
             "  bonus: 0.1",
         ]
+        assert session.is_outdated(task)
         session.write_values({"reward.bonus": "", "robots.cart.links.pole": ""})
-        assert file.text == SCENARIO
+        assert (file.text, session.is_outdated(task)) == (SCENARIO, False)
         with pytest.raises(UsageError, match="these values already"):
             session.write_values({"reward.bonus": ""})
         revision = file.revision
@@ -868,7 +870,7 @@ def test_a_link_to_the_documentation_opens_the_section_in_the_explanation():
     section = explanation("docs/language.md#scripts")
     assert section.startswith("### scripts\n")
     assert "\n### " not in section
-    assert "](#explain:docs/" in explanation("docs/teach.md")
+    assert re.search(r"(?s)```text\n.*\]\(#explain:docs/", explanation("docs/what-is-rl.md"))
 
 
 @pytest.mark.parametrize(
@@ -895,10 +897,12 @@ def test_the_commands_of_lessons_name_what_does_the_same_on_the_page() -> None:
 
 
 def test_a_lesson_on_the_page_has_no_link_that_leads_away_from_it() -> None:
-    text = with_buttons("Read [lesson 4](../04-endings/text.md) [1](https://example.org).")
-    assert text == "Read lesson 4 [1](https://example.org)."
+    text = with_buttons(
+        "[Lesson 4](../04-endings/text.md), [RL](../../docs/what-is-rl.md) [1](https://example.org)."
+    )
+    assert text == "Lesson 4, [RL](#explain:docs/what-is-rl.md) [1](https://example.org)."
     shown = [with_buttons(lesson.text("text.md")) for lesson in shipped_lessons()]
-    assert [link for text in shown for link in re.findall(r"\]\([^)]*\.md\)", text)] == []
+    assert [link for text in shown for link in re.findall(r"\]\([^#)]*\.md\)", text)] == []
 
 
 async def test_a_robot_file_in_millimeters_is_named_at_the_drop_and_in_the_text(folder):

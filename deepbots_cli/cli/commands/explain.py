@@ -25,6 +25,7 @@ from deepbots_cli.lint.pages import pages_of
 
 _CODE = re.compile(r"db\d", re.IGNORECASE)
 """The form of the codes of findings."""
+_OTHERWISE = "; `deepbots explain` lists all findings"
 
 
 def command(
@@ -52,7 +53,9 @@ def command(
             explained = explain_word(word)
         if not explained.entries:
             raise UsageError(
-                unknown_rule_message(finding) if _CODE.match(finding) else unknown_word_message(finding)
+                unknown_rule_message(finding)
+                if _CODE.match(finding)
+                else unknown_word_message(finding, _OTHERWISE)
             )
         if as_json:
             entries = [{"title": title, "text": "\n".join(text)} for title, *text in explained.entries]

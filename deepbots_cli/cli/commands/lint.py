@@ -41,6 +41,7 @@ from deepbots_cli.compiler import CheckedScenario
 from deepbots_cli.diagnostics import Edit, Finding, Findings, Severity, Span
 from deepbots_cli.diagnostics import Source as SourceText
 from deepbots_cli.diagnostics.findings import RuleSelectors, Selection, exception_finding
+from deepbots_cli.diagnostics.registry import RULES
 from deepbots_cli.diagnostics.render import escape_log_commands, github, junit, render, sarif, summary
 from deepbots_cli.document import Permissions, files
 from deepbots_cli.document.layout import canonical_text
@@ -333,9 +334,16 @@ def _sum_up(
         scope = "" if selection.selects_all else " among the selected rules"
         terminal.print_verdict(f"{called}: no findings{scope}{look.included}")
         return
-    terminal.print_verdict(summary(findings))
+    reasons = ("; ".join(_sentences(finding)).replace("\n", " ") for finding in findings)
+    terminal.print_verdict(summary(findings), list(reasons))
     if fixable and any(finding.fix for finding in findings):
         terminal.note(_hint(findings) or "")
+
+
+def _sentences(finding: Finding) -> list[str]:
+    """Return the place and the text of a finding, with its recording if it is an exploit."""
+    recording = finding.notes[-1:] if RULES[finding.code].deep == "exploits" else ()
+    return [f"{finding.span.location}: {finding.headline}", *filter(None, [finding.help]), *recording]
 
 
 def _explain_empty_diff(left: list[Finding]) -> None:
