@@ -16,13 +16,14 @@ _WITHOUT_NOTICE = (
     "document.querySelector('iframe').contentDocument.head.insertAdjacentHTML('beforeend',"
     " '<style>.mantine-Notifications-root {display: none}</style>')"
 )
+_PLAYS = "/step [1-9]\\d/.test(document.querySelector('iframe').contentDocument.body.innerText)"
 _HAS_ENDED = "/mine-1: solved/.test(document.querySelector('.studio-work').innerText)"
 
 
 def main() -> None:
-    with tempfile.TemporaryDirectory() as name, browser() as new_tab:
+    with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        with served(folder) as studio:
+        with served(folder) as studio, browser() as new_tab:
             first = new_tab()
             size = {"width": 1440, "height": 860, "deviceScaleFactor": 1, "mobile": False}
             first.call("Emulation.setDeviceMetricsOverride", **size)
@@ -34,7 +35,8 @@ def main() -> None:
         subprocess.run(
             python_command("deepbots_cli", *words), cwd=folder, env=python_environment(), check=True
         )
-        with served(folder, "mine.yaml") as studio:
+        # Another browser, because the robot of a page behind another one waits.
+        with served(folder, "mine.yaml") as studio, browser() as new_tab:
             page = StudioTab(new_tab(), studio.address, 1440, 860)
             page.click("Train")
             page.wait(_HAS_ENDED, 300)
@@ -43,6 +45,7 @@ def main() -> None:
                 "!document.querySelector('.studio-notice')?.checkVisibility({visibilityProperty: true})"
             )
             page.tab.run(_WITHOUT_NOTICE)
+            page.wait(_PLAYS, 60)
             time.sleep(1)
             page.tab.see(str(IMAGES / "studio.png"))
 
