@@ -564,7 +564,11 @@ def test_a_robot_file_is_corrected_before_it_is_written_and_its_task_is_chosen(f
         dropped.write_text(heavier, encoding="utf-8")
         page.click("New ...")
         drop(page, dropped)
-        page.click("Replace it", then="!!document.querySelector('.studio-dialog input[aria-label=Name]')")
+        page.click(
+            "Replace it",
+            then="!!document.querySelector('.studio-dialog input[aria-label=Name]')"
+            " && document.querySelectorAll('.q-dialog').length == 1",
+        )
         assert (folder / "buggy.urdf").read_text("utf-8") == heavier
 
         # The list of files opens a robot file again.
