@@ -43,6 +43,7 @@ _FILLER = re.compile(
     "and|are|can|does|for|from|how|into|make|robots?|than|that|the|this|what|when|why|with|your"
 )
 """Words of a phrase that no entry is about."""
+_ASKING = re.compile(r"(?i)^what (?:is|are|means?) (?:an? |the )?|\?$")
 _FACTOR = re.compile(r"\b\d\S* times\b")
 
 GLOSSARY = Path(__file__).with_name("glossary.yaml")
@@ -98,6 +99,7 @@ def explain_word(word: str) -> Explained:
     A concept of this name comes first, then functions, units, kinds and keys. Other names of a concept are
     used only if the language has no word of exactly this spelling.
     """
+    word = _ASKING.sub("", word)
     plain = _plain(word)
     spelled = (
         word

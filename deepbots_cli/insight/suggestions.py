@@ -302,6 +302,8 @@ def _settings(
     checked: CheckedScenario, words: set[str], asked: set[str], factor: float
 ) -> Iterator[Suggestion]:
     """Yield the settings of the scenario that the words are about, if these ask for more or less of them."""
+    if "episodes" in words and not asked:  # more of them, and not longer ones
+        words = words - _EPISODE | _TRAINING
     for about, keys, meaning in _SETTINGS:
         node = node_at(checked.document.root, *keys)
         if (

@@ -29,6 +29,9 @@ from deepbots_cli.studio.language import line_link
 
 _LINK = "#explain:"
 _MAX_NAMES = 6
+_WHY = (
+    "*Diagnose*, in the tab *Runs*, names what keeps a training from learning, and the values that changed."
+)
 _HINT = "Put the cursor on a word of the text and press F1, or write a word here: a key, a unit, a term."
 _FENCED = re.compile(r"(```.*?```|^(?: {4}.*\n?)+)", re.DOTALL | re.MULTILINE)
 _WORD = re.compile(r"(?<!\[)`([A-Za-z][\w ]{2,40})`|\b(DB\d{3}|docs/[\w-]+\.md(?:#[\w-]+)?)(?!\w)")
@@ -217,6 +220,8 @@ def _answer(query: str, of_text: OfText, here: str) -> str:
     # What the word is at the cursor says more than the entries of all keys of this name.
     is_answered = here or any(suggestion.value for suggestion in suggested)
     entry = "" if is_answered and not has_entry else explanation(query, only_concepts=bool(here))
+    if query.lower().startswith("why "):
+        entry = _WHY
     # The name of a section, such as `reward`, is a word of the language first.
     parts = [entry, *in_file] if has_entry and not here else [*in_file, entry]
     return "\n\n---\n\n".join(filter(None, parts))

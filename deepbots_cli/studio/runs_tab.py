@@ -40,7 +40,7 @@ _FIRST_STEPS = (
     (
         "Write",
         "Change the text, and save it with Ctrl+S: the robot starts again. Mistakes are listed below the"
-        " text. Explain can write a change for you, such as a longer link.",
+        " text. Explain can write a change for you, such as more time.",
     ),
     (
         "Try",

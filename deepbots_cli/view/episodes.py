@@ -204,9 +204,14 @@ class ShowingState:
         return self.compiled
 
 
+_LONG_S = 10.0
+"""The time from which an episode is so long that a newer policy does not wait for the next one."""
+_LOOK_ACTS = 25
+
+
 class RunDriver(Driver):
     """The policy of a run, which acts as in an evaluation; while the run is trained, the first one as soon as
-    there is one, and then the newest one of each episode."""
+    there is one, and then the newest one of each episode, in a long episode also from then on."""
 
     def __init__(
         self,
@@ -244,13 +249,9 @@ class RunDriver(Driver):
         self.begin(Start())
 
     def begin(self, start: Start) -> None:
-        self._start = start
+        self._start, self._acts = start, 0
         running = RunRecord.read(self._run.path).state(self._run.path) == "training"
-        stamps = {
-            name: stamp
-            for name in self._models
-            if (stamp := file_stamps([path := self._run.model(name)])[path]) is not None
-        }
+        stamps = self._stamps()
         name = next(
             iter(stamps if not running else sorted(stamps, key=stamps.__getitem__, reverse=True)), None
         )
@@ -276,6 +277,11 @@ class RunDriver(Driver):
         else:
             raise RunError(f"{self._run.path} has no model yet; continue its training, or show its scenario")
 
+    def _stamps(self) -> dict[ModelName, tuple[int, int]]:
+        """Return the stamp of each model that has been saved."""
+        stamps = {name: file_stamps([path := self._run.model(name)])[path] for name in self._models}
+        return {name: stamp for name, stamp in stamps.items() if stamp is not None}
+
     def _stage(self) -> str:
         """Return a text about the stage of the curriculum of the training, according to its newest
         episodes."""
@@ -283,9 +289,13 @@ class RunDriver(Driver):
         return f", the training is in stage {rows[-1]['stage']}" if rows and rows[-1].get("stage") else ""
 
     def act(self, observation: Any) -> Any:
-        # An episode of random actions may last minutes.
-        if self._policy is None and any(self._run.model(name).exists() for name in self._models):
-            self.begin(self._start)
+        self._acts += 1
+        # An episode may last minutes: random actions, and those of the first policy, end with the next one.
+        is_long = self._acts % _LOOK_ACTS == 0 and self._acts * self._env.scenario.period > _LONG_S
+        if self._policy is None or (self.note and is_long):
+            stamps = self._stamps().values()
+            if stamps and (self._stamp is None or max(stamps) > self._stamp):
+                self.begin(self._start)
         return self._space.sample() if self._policy is None else self._policy.act(observation)
 
 
