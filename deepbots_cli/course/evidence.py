@@ -23,6 +23,9 @@ _TOLERANCE = 0.01
 """The relative difference of returns and lengths on machines of two kinds. On one machine, they are equal. The
 returns of a reward for progress are almost those of any other policy, but the lengths are not."""
 
+_UNTRAINED_EPISODES = 5
+"""Untrained policies play until the time limit, so they play few episodes."""
+
 
 def unexplained(run: Run) -> str:
     """Return why the records of a training do not explain its best policy; empty if they do."""
@@ -36,21 +39,21 @@ def unexplained(run: Run) -> str:
     evaluator = Evaluator(supervisor_factory(run.record.engine), run.record.seed)
     model = load_model(run, "best")
 
-    def same() -> int:
-        """Return how many episodes have the return and length of the record."""
+    def repeated(count: int) -> int:
+        """Return how many of the first episodes have the return and length of the record."""
+        episodes = evaluator.play(model, program, Interruption(), evaluator.starts[:count], stage)
         return sum(
             math.isclose(episode.total_return, total, rel_tol=_TOLERANCE, abs_tol=1e-3)
             and math.isclose(episode.length, length, rel_tol=_TOLERANCE, abs_tol=1)
-            for episode, (total, length) in zip(
-                evaluator.evaluate(model, program, Interruption(), stage), recorded, strict=False
-            )
+            for episode, (total, length) in zip(episodes, recorded, strict=False)
         )
 
     with torch_settings(), closing(evaluator):
-        count = same()
-        if 2 * count < len(recorded):  # a robot in contact may do anything else
-            return f"only {count} of {len(recorded)} episodes of its evaluation after {steps:,} steps repeat"
-        untrained = [2 * same() >= len(recorded) for _ in _random_weights(model)]
+        count = len(evaluator.starts)
+        same = repeated(count)
+        if 2 * same < count:  # a robot in contact may do anything else
+            return f"only {same} of {count} episodes of its evaluation after {steps:,} steps repeat"
+        untrained = [2 * repeated(_UNTRAINED_EPISODES) >= _UNTRAINED_EPISODES for _ in _random_weights(model)]
     if sum(untrained) > 1:  # one of three may do what a policy does that has learned little
         return f"an untrained policy repeats its evaluation after {steps:,} steps as well"
     return ""
