@@ -4,8 +4,8 @@ were changed a little.
 A policy is compared with every model of the other students, by two sketches. The weights are read as numbers,
 without the pickle beside them, and 64 sums of them with random signs are kept: the distance of two such
 sketches is that of the weights, to about a fifth (M. Charikar et al., Theor. Comput. Sci. 312, 2004, p. 3). What
-the network answers to observations of one number each is the same for neurons and observations in another order
-and for other bytes beside them.
+the network answers to observations of one number each is the same for neurons and observations in another
+order, and for other bytes beside them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Whether the record of a training explains the policy in it.
 
-The starts on which a training evaluated its policy are repeated: a policy that another training made has other
-returns there. An evaluation that any policy repeats, such as one of two steps, explains none. Who can write all
-records of a run by hand is found by a training of the grader's own alone.
+The grader repeats the starts on which a training evaluated its policy. The policy of another training has
+other returns there. An evaluation that untrained policies repeat, too, such as one of two steps, explains no
+policy. Only a training of the grader's own finds records that are all written by hand.
 """
 
 from __future__ import annotations

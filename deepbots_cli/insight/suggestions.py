@@ -283,8 +283,8 @@ def _value_of_link(link: Link, key: str, written: str, words: set[str], change: 
 def _parameters(
     checked: CheckedScenario, words: set[str], asked: set[str], factor: float
 ) -> Iterator[Suggestion]:
-    """Yield the parameters of one number that are in the phrase, or have the property that is asked for; for a
-    goal, those below which a success is reached."""
+    """Yield the parameters of one number that are in the phrase, or have the property that is asked for;
+    for a goal, those below which a success is reached."""
     goals = {
         name
         for entry in entries_at(checked.document.root, "termination", "success").values()

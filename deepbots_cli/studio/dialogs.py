@@ -81,7 +81,7 @@ async def new_scenario(session: Session, kind: Kind, origin: str) -> Path | None
                 "Name",
                 value=_free_name(session, file.stem),
                 validation={
-                    "write up to 61 letters, digits, _ and -, without spaces; begin with a letter": lambda value: (
+                    "write up to 61 letters, digits, _ and -, and no space; begin with a letter": lambda value: (
                         _NAME.fullmatch(value or "") is not None
                     ),
                     "a file of this name exists already; choose another name": lambda value: (

@@ -41,7 +41,7 @@ _TYPED_S = 0.6
 
 def with_buttons(text: str) -> str:
     """Return the text of a lesson, in which a command names what does the same on the page. Links to the
-    documentation are those of explanations; those to other files, which the page does not have, are left out."""
+    documentation open explanations. Links to other files, which the page does not have, are left out."""
     text = re.sub(r"\]\((?:\.\./)+(docs/[^)]+)\)", r"](#explain:\1)", text)
     text = re.sub(r"\[([^\]]+)\]\(\.\./[^)]+\)", r"\1", text)
     for command, words in _ON_THE_PAGE.items():

@@ -253,7 +253,7 @@ class Session:
         self.state_folder = self.folder / RUNS_FOLDER / STUDIO_FOLDER
         self._written: dict[tuple[Path, str], str] = {}
         self._texts: dict[Path, Mapping[Path, object]] = {}
-        """What the current scenario consisted of when each command about it began, by the path of its task."""
+        """The contents of the current scenario when each command about it began, by the path of its task."""
         self._stamps: Mapping[Path, object] = {}
         self._last_runs = 0.0
         self._entries: Mapping[Path, object] = {}
@@ -431,8 +431,8 @@ class Session:
         return any(now.get(path, was) != was for path, was in self._texts.get(task.path, {}).items())
 
     def _contents(self) -> dict[Path, object]:
-        """Return the texts of the open files that the current scenario reads, and the stamps of its files that
-        cannot be opened, such as robot files."""
+        """Return the texts of the open files that the current scenario reads, and the stamps of its files
+        that cannot be opened, such as robot files."""
         stamps = {
             path: each for path, each in file_stamps(self._watched()).items() if path.suffix not in _SUFFIXES
         }

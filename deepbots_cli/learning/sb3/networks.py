@@ -328,9 +328,9 @@ _PROBES = np.linspace(-1.0, 1.0, 10)
 
 
 def probed_answers(policy: Any) -> Array | None:
-    """Return the logits of choices, or the values of ranges, for observations of which one number is not zero,
-    shape (numbers x 10, outputs), in an order that is the same for numbers in another order; for other
-    spaces than vectors, None as for `critic_values`."""
+    """Return the logits of choices, or the values of ranges, for observations of which one number is not
+    zero, shape (numbers x 10, outputs). The order of the rows does not depend on that of the numbers. For
+    other spaces than vectors, the result is None as for `critic_values`."""
     family = family_of(policy)
     space = policy.observation_space
     if family is None or hasattr(policy, "lstm_actor") or not isinstance(space, spaces.Box):
