@@ -694,6 +694,13 @@ def test_a_policy_that_its_training_does_not_explain_earns_nothing(
     assert reason in mark.checks[0].reason
 
 
+def test_an_evaluation_of_fewer_episodes_explains_no_policy(trained: Path, tmp_path: Path) -> None:
+    run = shutil.copytree(trained / "own" / "runs" / "drive-0-1", tmp_path / "run")
+    path = run / "evaluations" / "training.jsonl"
+    path.write_text(re.sub(r'("returns": \[[^],]*)[^]]*', r"\1", path.read_text()))
+    assert unexplained(Run.open(run)).startswith("only 1 of 20 episodes")
+
+
 def test_an_evaluation_that_any_policy_repeats_explains_none(tmp_path: Path) -> None:
     put(tmp_path, short=DRIVE % (1, 2))
     train(api.compile(tmp_path / "short.yaml"), run=tmp_path / "run", total_timesteps=1024)
