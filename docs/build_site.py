@@ -84,7 +84,7 @@ def write_sources(target: Path) -> None:
 def _all_pages() -> Iterator[tuple[str, str]]:
     """Yield the path of each page in the repository, or the path that a built one would have, and its text."""
     built = built_pages()
-    committed = [*sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "course").glob("*/text.md"))]
+    committed = [*sorted((ROOT / "docs").rglob("*.md")), *sorted((ROOT / "course").glob("[0-9]*/text.md"))]
     paths = [*NAMES, *(path.relative_to(ROOT).as_posix() for path in committed)]
     for path in dict.fromkeys([*paths, *built]):
         if path in build_gallery.merged():

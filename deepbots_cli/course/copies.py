@@ -96,8 +96,7 @@ def _sketch(model: Path) -> tuple[int, tuple[float, ...]] | None:
 
 def _answers(model: Path) -> tuple[float, ...]:
     """Return what the network of a policy answers to observations of one number: the values of ranges, or by
-    how much it prefers each option."""
-    import gymnasium as gym
+    how much it prefers each option. The size of the values does not count."""
     import numpy as np
 
     from deepbots_cli.learning.policy import loaded
@@ -109,11 +108,7 @@ def _answers(model: Path) -> tuple[float, ...]:
         answers = probed_answers(learner.model.policy)
     except (DeepbotsError, AttributeError, ValueError):  # a damaged run, or an algorithm of a plug-in
         return ()
-    if answers is None:
-        return ()
-    if not isinstance(learner.model.action_space, gym.spaces.Box):
-        answers -= answers.mean(axis=1, keepdims=True)  # only differences of logits count
-    return tuple((answers / (np.linalg.norm(answers) or 1.0)).ravel().tolist())
+    return () if answers is None else tuple((answers / (np.linalg.norm(answers) or 1.0)).ravel().tolist())
 
 
 def without_copies(lesson: Lesson, marks: Sequence[Marks]) -> list[Marks]:

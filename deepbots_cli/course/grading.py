@@ -241,9 +241,6 @@ def _mark_one(
             for work in works.values():
                 work.mkdir(parents=True)
             files, remarks = collect(path, folder, lesson)
-            started = started_in(files)
-            if started is not None and lesson.is_shipped and started.reference != lesson.name:
-                remarks = (f"it was started as the lesson `{started.reference[:40]}`", *remarks)
         except Exception as error:  # noqa: BLE001 - libraries raise anything for damaged archives
             is_clear = isinstance(error, UsageError | OSError)
             reason = str(error) if is_clear else f"it is damaged ({type(error).__name__})"
@@ -255,6 +252,13 @@ def _mark_one(
             _mark_step(lesson, step, {**request, **options, "step": step, "work": str(work)}, limits, stop)
             for step, work in works.items()
         ]
+        started = started_in(files)
+    if started is not None and lesson.is_shipped and started.reference != lesson.name:
+        other = f"it was started as the lesson `{started.reference[:40]}`"
+        if not any(mark.points or mark.is_open for mark in marks):
+            marks = [unfinished(*step, other) for step in lesson.steps.items()]
+            return Marks(student, lesson.name, tuple(marks), refused=f"nothing is right: {other}")
+        remarks = (other, *remarks)
     return Marks(student, lesson.name, tuple(marks), remarks)
 
 

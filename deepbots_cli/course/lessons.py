@@ -202,7 +202,7 @@ def read_mapping(path: Path, display: str | None = None) -> MappingNode:
     """
     node, findings = read_alone(path, display)
     for error in findings.errors:
-        raise UsageError(f"{error.span.location}: {error.headline}")
+        raise UsageError("; ".join(filter(None, (f"{error.span.location}: {error.headline}", error.help))))
     if not isinstance(node, MappingNode):
         raise UsageError(f"{display or path}: it is not a mapping")
     return node
@@ -260,7 +260,7 @@ def course_folder() -> Path:
 
 def shipped_lessons() -> list[Lesson]:
     """Return the lessons that come with deepbots, in their order."""
-    folders = sorted(path.parent for path in course_folder().glob(f"*/{LESSON_NAME}"))
+    folders = sorted(path.parent for path in course_folder().glob(f"[0-9]*/{LESSON_NAME}"))
     return [read_lesson(folder) for folder in folders]
 
 

@@ -4,6 +4,7 @@ the order of their names, and cheats earn nothing more than what they were added
 
 from __future__ import annotations
 
+import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -155,6 +156,12 @@ def prove(
     marks = dict(zip((name for name, _ in folders), graded, strict=True))
     yield _proven(START, marks[START], marks[START].points == 0, "nothing")
     yield from _guards(lesson)
+    yield from (
+        Proven(name, 0, 0, False, "its pictures", f"there is no {picture}")
+        for name in ("text.md", "teacher.md")
+        for picture in re.findall(r"!\[[^\]]*\]\(([^):]+)\)", lesson.text(name))
+        if not (lesson.folder / picture).is_file()
+    )
     yield _proven(
         SOLUTION, marks[SOLUTION], marks[SOLUTION].points == full, f"all {counted(full, 'point')}{without}"
     )
@@ -167,8 +174,9 @@ def prove(
         least, most = before + train, full - train
         yield _proven(name, marks[name], least <= points <= most, f"{least} to {most}")
         before = max(before, points)
-    base = folders[-1][1]
-    yield from _cheats(lesson, base, workers, lambda marks, done: on_marks(marks, len(folders) + done))
+    yield from _cheats(
+        lesson, folders[-1][1], workers, lambda marks, done: on_marks(marks, len(folders) + done)
+    )
 
 
 def _cheats(
@@ -205,7 +213,12 @@ def _guards(lesson: Lesson) -> Iterator[Proven]:
         for check, earned in zip(step.checks, mark.checks, strict=True):
             if earned.points and not check.guard:
                 yield Proven(
-                    f"{name}: {check.says}", earned.points, earned.of, False, "`guard: true`: start passes it"
+                    f"{name}: {check.says}",
+                    earned.points,
+                    earned.of,
+                    False,
+                    "not by start",
+                    "start passes this check: change the files of start, or mark the check `guard: true`",
                 )
 
 

@@ -29,7 +29,7 @@ from deepbots_cli.course.evidence import unexplained
 from deepbots_cli.course.grading import Limits, Marks, as_csv, as_page, grade, hand_ins_of, judged_together
 from deepbots_cli.course.hand_ins import HandInError, collect, read_step, write_parts
 from deepbots_cli.course.hand_ins import _mentions as mentions
-from deepbots_cli.course.lessons import Lesson, lesson_named, read_lesson, shipped_lessons
+from deepbots_cli.course.lessons import Lesson, course_folder, lesson_named, read_lesson, shipped_lessons
 from deepbots_cli.course.marking import CheckMark, Marker, StepMark, is_right
 from deepbots_cli.course.proof import CHEATS, prove
 from deepbots_cli.errors import UsageError
@@ -715,7 +715,7 @@ def test_the_run_that_was_trained_last_is_judged(trained: Path, tmp_path: Path) 
     assert handed_in(trained, tmp_path / "own").points == 3
 
 
-def test_a_policy_with_its_neurons_and_observations_in_another_order_is_the_same(
+def test_a_policy_with_its_neurons_in_another_order_and_larger_answers_is_the_same(
     trained: Path, tmp_path: Path
 ) -> None:
     run = Run.open(shutil.copytree(trained / "own" / "runs" / "drive-0-1", tmp_path / "runs" / "drive-0-1"))
@@ -723,6 +723,9 @@ def test_a_policy_with_its_neurons_and_observations_in_another_order_is_the_same
     first, _, second, *_ = model.policy.mlp_extractor.policy_net
     for tensor, axes in ((first.weight, (0, 1)), (first.bias, 0), (second.weight, 1)):
         tensor.data = tensor.data.flip(axes)
+    answers = model.policy.action_net
+    for tensor in (answers.weight, answers.bias):
+        tensor.data[0] *= 1.3
     save(run.model("last"), model)
     one, other = weights_of(tmp_path / "runs", [run.model("best"), run.model("last")])
     assert one.is_near(other)
@@ -959,9 +962,9 @@ def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [lesson.number for lesson in shipped_lessons()])
-def test_a_shipped_lesson_is_proven(number: int) -> None:
-    proven = list(prove(lesson_named(str(number)), train=False, workers=2))
+@pytest.mark.parametrize("folder", sorted(course_folder().glob("*/")), ids=lambda folder: folder.name)
+def test_a_shipped_lesson_is_proven(folder: Path) -> None:
+    proven = list(prove(read_lesson(folder), train=False, workers=2))
     assert [one for one in proven if not one.is_right] == []
     assert len(CHEATS) == 20
 
@@ -972,6 +975,20 @@ def test_a_reward_for_staying_away_from_the_ball_loses_points(tmp_path: Path) ->
     assert mark.checks[0].reason.startswith("invent.yaml:1:37: an episode that avoids `found` can collect")
 
 
-def test_a_lesson_to_change_is_the_third(deepbots: Deepbots, tmp_path: Path) -> None:
+def test_verify_names_a_missing_picture_and_a_missing_solution(deepbots: Deepbots, tmp_path: Path) -> None:
+    own = tmp_path / "mine"
     deepbots("new", "mine", tmp_path, "--lesson")
-    assert read_lesson(tmp_path / "mine").steps == lesson_named("reward").steps
+    (own / "teacher.md").write_text("# Mine\n\n![the robot](robot.png)\n")
+    (own / "solution" / "reward.yaml").unlink()
+    result = deepbots("course", "verify", own, "--no-train", code=1)
+    assert "there is no robot.png" in result.out
+    assert "2 lines above are wrong; cheats are tried once start and solution earn" in result.out
+
+
+def test_a_hand_in_of_another_lesson_says_only_this(deepbots: Deepbots, tmp_path: Path) -> None:
+    deepbots("course", "start", "endings", tmp_path / "ben")
+    (marks,) = json.loads(deepbots("grade", "reward", tmp_path / "ben", "--json").out)
+    assert marks["remarks"] == ["nothing is right: it was started as the lesson `endings`"]
+    assert {check["reason"] for step in marks["steps"] for check in step["checks"]} == {
+        "it was started as the lesson `endings`"
+    }

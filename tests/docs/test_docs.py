@@ -698,7 +698,7 @@ PACKAGES = sorted(
 PAGES = [
     *sorted(ROOT.glob("*.md")),
     *sorted((ROOT / "docs").rglob("*.md")),
-    *sorted((ROOT / "course").glob("*/text.md")),
+    *sorted((ROOT / "course").glob("[0-9]*/text.md")),
 ]
 
 BUILT = ("reference/", "../reference/", "benchmark.md", "course.md")

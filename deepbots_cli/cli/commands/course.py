@@ -122,8 +122,12 @@ def _list(folder: Path, *, as_json: bool) -> None:
         f"check {shell_word(str(row['folder']))}" for row in rows if row["points"] and not _is_full(row)
     ]
     commands += [f"start {row['lesson']}" for row in rows if not row["points"]]
-    following = [f"deepbots course {command}" for command in commands[:1]]
-    terminal.show(rows, table(rows, is_prose=True), as_json=as_json, next_commands=following)
+    terminal.show(
+        rows,
+        table(rows, is_prose=True),
+        as_json=as_json,
+        next_commands=[f"deepbots course {command}" for command in commands[:1]],
+    )
 
 
 def _is_full(row: Row) -> bool:
@@ -225,8 +229,8 @@ def _next(folder: Path, into: Path | None, solution: str | None, *, as_json: boo
         last = "this was the last lesson" if lesson.is_shipped else f"no lesson follows {lesson.label}"
         terminal.show({}, f"{last}; `deepbots course` lists those of deepbots", as_json=as_json)
         return
-    name = f"lesson-{following.number}-{following.name}"
-    _start(str(following.folder), into or folder.resolve().parent / name, solution, as_json=as_json)
+    into = into or folder.resolve().parent / f"lesson-{following.number}-{following.name}"
+    _start(str(following.folder), into, solution, as_json=as_json)
 
 
 def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
@@ -234,9 +238,8 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
     from deepbots_cli.course.proof import CHEATS, Proven, prove
 
     lesson = lesson_named(name)
-    total = (
-        len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
-    )  # start, solution, and one to cheat with
+    # with start, solution, and one to cheat with
+    total = len(CHEATS) + 3 + len([*(lesson.folder / HALF).glob("*/")])
     with terminal.progress("hand-ins", always=False) as show:
         show(0, total)
         proven, is_complete = list[Proven](), True
@@ -247,29 +250,26 @@ def _verify(name: str, workers: int, *, train: bool, as_json: bool) -> None:
             is_complete = False
     rows = [
         {
-            "hand-in": one.tried,
-            "points": f"{one.points} of {one.of}",
+            "tried": one.tried,
+            "points": f"{one.points} of {one.of}" if one.of else "",
             "expected": one.expected,
             "result": "right" if one.is_right else "WRONG",
-            "why": one.reason if not one.is_right else "",
+            "why": "" if one.is_right else one.reason,
         }
         for one in proven
     ]
     wrong = sum(not one.is_right for one in proven)
     verdict = "the lesson is proven" if train else "the lesson is proven without the checks of policies"
     if wrong:
-        verdict = (
-            f"{counted(wrong, 'hand-in')} earned the wrong points; cheats are tried once start and solution"
-            " earn the right ones"
-        )
+        verdict = f"{counted(wrong, 'line')} above {'is' if wrong == 1 else 'are'} wrong"
+        if not any(one.tried.startswith("cheat") for one in proven):
+            verdict += "; cheats are tried once start and solution earn the right points"
     if not is_complete:
         verdict = f"interrupted after {counted(len(proven), 'hand-in')}"
     verdict += f"; {sum(os.times()[:4]):.0f} s of CPU time"
     terminal.show([vars(one) for one in proven], table(rows, is_prose=True), "", verdict, as_json=as_json)
-    if not is_complete:
-        raise typer.Exit(INTERRUPTED)
-    if wrong:
-        raise typer.Exit(FAILED)
+    if wrong or not is_complete:
+        raise typer.Exit(FAILED if is_complete else INTERRUPTED)
 
 
 def command_grade(

@@ -114,9 +114,7 @@ def command(
     ] = None,
     lesson: Annotated[
         bool,
-        option(
-            "--lesson", "Write a lesson that marks itself, in the folder NAME: a copy of lesson 3, to change."
-        ),
+        option("--lesson", "Write a lesson that marks itself, in the folder NAME, to change."),
     ] = False,
     schema: Annotated[
         bool, option("--schema", "Also write NAME.schema.json for completion in an editor.", OUTPUT)
@@ -187,9 +185,9 @@ def command(
 
 def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
     """Write a lesson that `deepbots course verify` proves as it is."""
-    from deepbots_cli.course.lessons import shipped_lesson
+    from deepbots_cli.course.lessons import course_folder
 
-    model = shipped_lesson("reward").folder
+    model = course_folder() / "template"
     contents = {
         PurePosixPath(path.relative_to(model)): path.read_bytes()
         for path in sorted(model.rglob("*"))
@@ -202,7 +200,7 @@ def _write_lesson(folder: Path, *, as_json: bool, force: bool) -> None:
     ]
     terminal.show(
         {"lesson": str(folder)},
-        f"{folder}: a copy of lesson 3; change its files, world.png, too",
+        f"{folder}: a small lesson with a check of each kind; change its files, text.md and teacher.md, too",
         as_json=as_json,
         next_commands=commands,
     )

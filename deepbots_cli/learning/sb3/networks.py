@@ -328,9 +328,10 @@ _PROBES = np.linspace(-1.0, 1.0, 10)
 
 
 def probed_answers(policy: Any) -> Array | None:
-    """Return the logits of choices, or the values of ranges, for observations of which one number is not
-    zero, shape (numbers x 10, outputs). The order of the rows does not depend on that of the numbers. For
-    other spaces than vectors, the result is None as for `critic_values`."""
+    """Return the logits of choices less their mean, or the values of ranges, of norm 1 for each range, for
+    observations of which one number is not zero, shape (numbers x 10, outputs). The order of the rows does
+    not depend on that of the numbers. For other spaces than vectors, the result is None as for
+    `critic_values`."""
     family = family_of(policy)
     space = policy.observation_space
     if family is None or hasattr(policy, "lstm_actor") or not isinstance(space, spaces.Box):
@@ -341,6 +342,10 @@ def probed_answers(policy: Any) -> Array | None:
     with torch.no_grad():
         tensor = policy.obs_to_tensor(observations.reshape(-1, *space.shape).astype(space.dtype))[0]
         answers = layers(policy.extract_features(tensor, extractor)).cpu().numpy().astype(float)
+    if isinstance(policy.action_space, spaces.Box):
+        answers /= np.maximum(np.linalg.norm(answers, axis=0), 1e-9)
+    else:
+        answers -= answers.mean(axis=1, keepdims=True)
     rows = answers.reshape(len(largest), -1)
     order = np.argsort(rows @ np.random.default_rng(0).normal(size=rows.shape[1]))
     return np.asarray(rows[order].reshape(answers.shape))
