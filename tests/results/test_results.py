@@ -47,6 +47,7 @@ from tools.results.experiment import (
 )
 from tools.results.experiments.not_measured import REASONS
 from tools.results.measure import ROOT, Places
+from tools.results.parts import PARTS, Holding
 from tools.results.standing import Standing, judge, quartiles, together
 
 PLACES = Places()
@@ -67,6 +68,19 @@ def test_the_studio_shows_the_measured_times_of_trainings():
     times = json.loads(gallery_pictures.TIMES.read_text(encoding="utf-8"))
     assert times == gallery_pictures.training_times(), "run: python -m tools.gallery_pictures"
     assert {"cartpole", "quadruped", "find_ball"} <= times.keys() <= {*shipped.scenario_names()}
+
+
+HOLDINGS = [table for part in PARTS for table in part.tables if isinstance(table, Holding)]
+
+
+@pytest.mark.parametrize("holding", HOLDINGS, ids=lambda holding: holding.name)
+def test_what_holds_is_shown_by_tests_that_exist(holding: Holding):
+    folder = ROOT / holding.folder
+    files = [folder] if folder.is_file() else [*folder.rglob("*.py")]
+    functions = "".join(path.read_text() for path in files)
+    cases = {path.stem for path in (ROOT / "tests" / "golden").rglob("*.md")}
+    for name in holding.expression.split(" or "):
+        assert re.search(rf"def \w*{name}", functions) or any(name in case for case in cases), name
 
 
 def test_every_bar_that_is_measured_by_hand_has_a_verdict():

@@ -88,7 +88,7 @@ HOLDS = Part(
         Holding(
             "same seed, same bytes: two environments, and after episodes of any length",
             "tests/contract",
-            "same_seed or equals_a_fresh_one",
+            "equals_a_fresh_one",
         ),
         Holding("same seed, same bytes: a fresh process", "tests/contract", "fresh_process"),
         Holding(
@@ -102,9 +102,9 @@ HOLDS = Part(
             "checker_has_nothing_to_say",
         ),
         Holding(
-            "10 000 random steps of every shipped scenario, all figures finite",
-            "tests/world",
-            "for_long_under_random_actions",
+            "random steps of scenarios that chance draws: nothing raises, all figures finite",
+            "tests/laws",
+            "nothing_raises",
         ),
         Holding(
             "robots of PyBullet's data run with sensors on any link for 1000 steps",
@@ -112,9 +112,9 @@ HOLDS = Part(
             "robot_of_a_package_runs",
         ),
         Holding(
-            "queues are empty after every reset, and nothing leaks into the next episode",
-            "tests",
-            "queues_are_empty or nothing_leaks",
+            "a reset world equals a new one in scenarios that chance draws: nothing leaks into the next episode",
+            "tests/laws",
+            "a_reset_world_is_a_fresh_one",
         ),
         Holding(
             "channels share no draw, and none changes another",
@@ -151,7 +151,7 @@ second one does not. Shipped scenarios, templates and the docs have no findings,
         Holding(
             "a mistake is told in the words and at the places that are kept",
             "tests/golden/test_golden_lint.py",
-            "in_these_words",
+            "reported_once_in_short_plain_words",
         ),
         Holding(
             "every finding has a page, and the examples of all pages were run",
