@@ -42,7 +42,8 @@ class Hostile:
     """A scenario `text`, further `files`, and what else is `made` in the folder; at least one of `codes` has
     to be found.
 
-    `make test` leaves out what is `slow`, since another case meets the same limit, and every second of the others.
+    `make test` leaves out what is `slow`, since another case meets the same limit, and every second of the
+    others.
     """
 
     name: str

@@ -47,7 +47,7 @@ from tools.results.experiment import (
 )
 from tools.results.experiments.not_measured import REASONS
 from tools.results.measure import ROOT, Places
-from tools.results.parts import PARTS, Benchmark, Holding
+from tools.results.parts import PARTS, Holding
 from tools.results.standing import Standing, judge, quartiles, together
 
 PLACES = Places()
@@ -70,14 +70,16 @@ def test_the_studio_shows_the_measured_times_of_trainings():
     assert {"cartpole", "quadruped", "find_ball"} <= times.keys() <= {*shipped.scenario_names()}
 
 
-@pytest.mark.parametrize("table", [*chain(*(part.tables for part in PARTS))], ids=lambda table: table.name)
-def test_what_holds_is_shown_by_tests_that_exist(table: Benchmark | Holding):
-    if isinstance(table, Holding):
-        files = chain(ROOT.glob(table.folder), (ROOT / table.folder).rglob("*.py"))
-        texts = [f"def {path.stem}" for path in (ROOT / "tests" / "golden").rglob("*.md")] + [
-            path.read_text() for path in files if path.is_file()
-        ]
-        assert all(re.search(rf"def \w*{name}", "\n".join(texts)) for name in table.expression.split(" or "))
+@pytest.mark.parametrize(
+    "holding",
+    [table for part in PARTS for table in part.tables if isinstance(table, Holding)],
+    ids=lambda holding: holding.name,
+)
+def test_what_holds_is_shown_by_tests_that_exist(holding: Holding):
+    files = chain(ROOT.glob(holding.folder), (ROOT / holding.folder).rglob("*.py"))
+    tests = "\n".join(path.read_text() for path in files if path.is_file())
+    tests += "".join(f"\ndef {page.stem}" for page in (ROOT / "tests" / "golden").rglob("*.md"))
+    assert all(re.search(rf"def \w*{name}", tests) for name in holding.expression.split(" or "))
 
 
 def test_every_bar_that_is_measured_by_hand_has_a_verdict():

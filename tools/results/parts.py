@@ -102,7 +102,7 @@ HOLDS = Part(
             "checker_has_nothing_to_say",
         ),
         Holding(
-            "random steps of scenarios that chance draws: nothing raises, all figures finite",
+            "random steps of drawn scenarios raise nothing, and all figures are finite",
             "tests/laws",
             "nothing_raises",
         ),
@@ -112,7 +112,7 @@ HOLDS = Part(
             "robot_of_a_package_runs",
         ),
         Holding(
-            "a reset world equals a new one in scenarios that chance draws: nothing leaks into the next episode",
+            "nothing leaks into the next episode: a reset world equals a new one, in drawn scenarios",
             "tests/laws",
             "a_reset_world_is_a_fresh_one",
         ),
