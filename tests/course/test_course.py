@@ -957,6 +957,7 @@ def test_the_text_in_a_started_lesson_has_no_link_out_of_its_folder(
     text = (tmp_path / "own" / "README.md").read_text(encoding="utf-8")
     assert "in own; its text is README.md\n" in started.out
     assert started.err.endswith("\n  cd own\n  deepbots studio mend.yaml --open\n  deepbots course check\n")
+    assert "  deepbots studio . --open\n" in deepbots("course", "start", "chance", "answers_only").err
     assert "](.." not in text
     assert "What is reinforcement learning? (`docs" in text
 

@@ -136,7 +136,7 @@ def _is_full(row: Row) -> bool:
 
 def _start(name: str, folder: Path | None, solution: str | None, *, as_json: bool) -> None:
     from deepbots_cli.course.grading import start
-    from deepbots_cli.course.lessons import lesson_named
+    from deepbots_cli.course.lessons import ANSWERS_NAME, lesson_named
 
     lesson = lesson_named(name)
     folder = folder or Path(f"lesson-{lesson.number}-{lesson.name}" if lesson.number else lesson.name)
@@ -153,7 +153,8 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
         as_json=as_json,
         next_commands=[
             f"cd {shell_word(folder)}",
-            f"deepbots studio {next(iter(lesson.steps))}.yaml --open",
+            # a step with nothing but answers has no scenario
+            f"deepbots studio {next((name for name in lesson.step_files if name != ANSWERS_NAME), '.')} --open",
             "deepbots course check",
         ],
     )
