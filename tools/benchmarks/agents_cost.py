@@ -160,7 +160,7 @@ def main() -> None:
                     1.15,
                     arguments.pairs,
                 ),
-                row("PettingZoo / Gymnasium", [of_agents(agents, actions), plain], 1.15, arguments.pairs),
+                row("PettingZoo / Gymnasium", [of_agents(agents, actions), plain], 1.1, arguments.pairs),
                 row(
                     f"batch of {arguments.worlds}, two agents / one",
                     [of_batch(batch, of_worlds) for batch in batches],

@@ -2,8 +2,7 @@
 
     python -m tools.benchmarks.peers [PART ...] [--json] [--pairs 15] [--steps 1000]
 
-Install the peers beside deepbots: `pip install panda-gym PyFlyt`. A part whose peer is not installed is left
-out.
+Install the peers beside deepbots: `pip install panda-gym PyFlyt`.
 Both sides are made as their users make them, by `make()`, and take random actions. Times are CPU times of all
 threads, resets apart from steps; the two sides take turns, and the median of the ratios of the pairs counts.
 """
@@ -14,12 +13,12 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = "1"
 
-import importlib.util
+import importlib
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -51,6 +50,8 @@ AS_PENDULUM = (
 WORLDS = (16, 64, 256)
 UPRIGHT = 6
 """Steps with one action before the first rod has fallen."""
+GYMNASIUM, PANDA, PYFLYT = "gymnasium", "panda-gym", "PyFlyt"
+MODULES = {PANDA: "panda_gym", PYFLYT: "PyFlyt.gym_envs"}
 
 
 def euler_pendulum() -> gym.Env[Any, Any]:
@@ -63,10 +64,18 @@ def euler_pendulum() -> gym.Env[Any, Any]:
         return gym.make("InvertedPendulum-v5", xml_file=str(path), disable_env_checker=True)
 
 
-def peer(module: str, name: str) -> gym.Env[Any, Any]:
+def peer(package: str, name: str) -> gym.Env[Any, Any]:
     """An environment that a package registers when it is imported."""
-    importlib.import_module(module)
+    try:
+        importlib.import_module(MODULES[package])
+    except ModuleNotFoundError:
+        sys.exit(f"{name} needs {package}: pip install {package}, or name other parts")
     return gym.make(name, disable_env_checker=True)
+
+
+def of(package: str) -> str:
+    """Return the name and the installed version of a package."""
+    return f"{package} {metadata.version(package)}"
 
 
 def of_steps(environment: Any, steps: int) -> Callable[[], float]:
@@ -120,28 +129,26 @@ def beside(
 
 def pendulum(steps: int, count: int) -> Iterator[Row]:
     ours = api.make(RAIL, overrides=AS_PENDULUM, engine="mujoco")
-    yield from beside("rail / Gymnasium's InvertedPendulum", ours, euler_pendulum(), steps, count, 1.05, 2)
+    what = f"rail / InvertedPendulum of {of(GYMNASIUM)}"
+    yield from beside(what, ours, euler_pendulum(), steps, count, 1.05, 2)
 
 
 def push(steps: int, count: int) -> Iterator[Row]:
-    theirs = peer("panda_gym", "PandaPush-v3")
-    yield from beside(
-        "panda_push / panda-gym's PandaPush", api.make("panda_push"), theirs, steps // 5, count, 0.95
-    )
+    theirs = peer(PANDA, "PandaPush-v3")
+    what = f"panda_push / PandaPush of {of(PANDA)}"
+    yield from beside(what, api.make("panda_push"), theirs, steps // 5, count, 0.95)
 
 
 def reach(steps: int, count: int) -> Iterator[Row]:
-    theirs = peer("panda_gym", "PandaReach-v3")
-    yield from beside(
-        "panda_reach / panda-gym's PandaReach", api.make("panda_reach"), theirs, steps // 5, count, 1
-    )
+    theirs = peer(PANDA, "PandaReach-v3")
+    what = f"panda_reach / PandaReach of {of(PANDA)}"
+    yield from beside(what, api.make("panda_reach"), theirs, steps // 5, count, 1)
 
 
 def drone(steps: int, count: int) -> Iterator[Row]:
-    theirs = peer("PyFlyt.gym_envs", "PyFlyt/QuadX-Hover-v4")
-    yield from beside(
-        "quadrotor / PyFlyt's QuadX-Hover", api.make("quadrotor"), theirs, steps // 5, count, 0.95
-    )
+    theirs = peer(PYFLYT, "PyFlyt/QuadX-Hover-v4")
+    what = f"quadrotor / QuadX-Hover of {of(PYFLYT)}"
+    yield from beside(what, api.make("quadrotor"), theirs, steps // 5, count, 0.95)
 
 
 def engine(steps: int, count: int) -> Iterator[Row]:
@@ -239,7 +246,7 @@ def start(steps: int, count: int) -> Iterator[Row]:
         return 1e6 * float(ran.stdout.split()[-1])
 
     yield row(
-        "import, make, reset, a step: CartPole on MuJoCo / Gymnasium's InvertedPendulum",
+        f"import, make, reset, a step: CartPole on MuJoCo / InvertedPendulum of {of(GYMNASIUM)}",
         partial(measure, OURS),
         partial(measure, THEIRS),
         min(count, 5),
@@ -247,33 +254,22 @@ def start(steps: int, count: int) -> Iterator[Row]:
     )
 
 
-PARTS: dict[str, tuple[Callable[[int, int], Iterator[Row]], str | None]] = {
-    "pendulum": (pendulum, None),
-    "push": (push, "panda_gym"),
-    "reach": (reach, "panda_gym"),
-    "drone": (drone, "PyFlyt"),
-    "engine": (engine, None),
-    "batch": (batch, None),
-    "start": (start, None),
+PARTS: dict[str, Callable[[int, int], Iterator[Row]]] = {
+    "pendulum": pendulum,
+    "push": push,
+    "reach": reach,
+    "drone": drone,
+    "engine": engine,
+    "batch": batch,
+    "start": start,
 }
-"""What measures a part, and the module that it needs."""
-
-
-def rows(parts: Sequence[str], steps: int, count: int) -> Iterator[Row]:
-    for part in parts:
-        measure, module = PARTS[part]
-        if module is None or importlib.util.find_spec(module) is not None:
-            yield from measure(steps, count)
+"""What measures a part."""
 
 
 def main() -> None:
     arguments = options(__doc__, parts=PARTS, pairs=15, steps=1000)
-    measured = list(rows(arguments.parts, arguments.steps, arguments.pairs))
-    show(measured, as_json=arguments.json)
-    if not arguments.json:
-        named = ("mujoco", "pybullet", "gymnasium", "panda-gym", "PyFlyt")
-        installed = {entry.metadata["Name"].lower(): entry.version for entry in metadata.distributions()}
-        print(", ".join(f"{name} {installed[name.lower()]}" for name in named if name.lower() in installed))
+    rows = [row for part in arguments.parts for row in PARTS[part](arguments.steps, arguments.pairs)]
+    show(rows, as_json=arguments.json)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ What is compiled anew is only compared by its digest.
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections import Counter
@@ -29,8 +28,6 @@ from tools.results.parts import PARTS, Holding, Part
 from tools.results.standing import Entry, Headline, Standing, quartiles
 
 Experiments = Mapping[str, Experiment]
-BY_HAND = Places().record("by_hand")
-"""Bars that no command measures."""
 
 HEAD = """\
 # Results
@@ -199,10 +196,7 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
         missed += [part.title] * (not all(met))
     where = f" ({', '.join(missed)})" if missed else ""
     text = f"{words['met']} met, {words['**missed**']} missed{where}, {words['not measured']} not measured; "
-    text += f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached; "
-    hand = Counter(re.split(r"[,;:]", row["verdict"])[0].strip("*") for row in by_hand())
-    text += "measured by hand: "
-    text += f"{', '.join(f'{hand[word]} {word}' for word in ('met', 'missed', 'not shown') if hand[word])}."
+    text += f"of {words['reached'] + words['not reached']} further goals, {words['reached']} reached."
     old = sum(
         verdict.status != "not measured"
         for standing in standings
@@ -219,11 +213,6 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
 def _met(tables: Entry) -> list[bool]:
     """Of the rows of a part that have bars."""
     return [row["met"] for entry in tables.values() for row in entry["rows"] if row["met"] is not None]
-
-
-def by_hand() -> list[dict[str, str]]:
-    """Return what is measured by hand; each verdict begins with a word."""
-    return [row for row in json.loads(BY_HAND.read_text(encoding="utf-8")) if row["bar"]]
 
 
 # The page of measurements

@@ -65,6 +65,15 @@ to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, w
         map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))
     ),
 )
+PEERS = Part(
+    name="peers",
+    title="Beside other projects",
+    prose="""\
+CPU times with random actions, in turn with an environment of another project for the same task, both as their users make them. The rail
+has the motor, the start and the ending of Gymnasium's pendulum, and both are integrated by Euler's method. Times of a batch are per
+world, and its actions are zero.""",
+    tables=(Benchmark("peers"), Benchmark("agents_cost"), Benchmark("lint_start")),
+)
 PHYSICS = Part(
     name="physics",
     title="How true is the simulation?",
@@ -177,4 +186,4 @@ second one does not. Shipped scenarios, templates and the docs have no findings,
         ),
     ),
 )
-PARTS = (COSTS, PHYSICS, CHANNEL, LINTING, RULES, HOLDS)
+PARTS = (COSTS, PEERS, PHYSICS, CHANNEL, LINTING, RULES, HOLDS)
