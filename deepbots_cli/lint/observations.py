@@ -693,7 +693,7 @@ def _saturated_at_start(context: RuleContext) -> Iterator[Finding]:
                 "DB611",
                 context.range_span(number.entry),
                 headline,
-                "widen the range, or choose a start within it",
+                "choose a start within the range, or widen it",
             )
 
 

@@ -270,9 +270,8 @@ class StudioPage:
         if language.checked_revision(file.path) == file.revision:
             self._editor.underline(file.revision, findings)
         errors = sum(finding.severity == "error" for finding in findings)
-        warnings = len(findings) - errors
-        numbers = ((errors, "error"), (warnings, "warning"))
-        text = ", ".join(counted(number, word) for number, word in numbers if number) or "no mistakes"
+        numbers = ((errors, "error"), (len(findings) - errors, "warning"))
+        text = ", ".join(counted(number, word) for number, word in numbers if number) or "no mistakes found"
         self._status.set_text(text if language.checked_revision(file.path) else "checking ...")
         kind = findings[0].severity if findings else "good"  # errors come first
         if not errors:
@@ -384,10 +383,11 @@ class StudioPage:
         file, language = self._file, self._session.language
 
         def fixes(code: str) -> Iterator[tuple[str, Callable[[], object]]]:
-            if (training := self._shown.training) and code.lower().startswith("why "):
-                yield f"Diagnose {training.path.name}", partial(self._training.act, self._runs.diagnose)
             if file is None:
                 return
+            training, newest = self._shown.training, self._session.commands.newest_training(file.path.stem)
+            if training and training.path == newest and code.lower().startswith("why "):
+                yield f"Diagnose {newest.name}", partial(self._training.act, self._runs.diagnose)
             for finding in [one for one in language.findings(file.path) if one.code == code][:_MAX_FIXES]:
                 for fix in language.fixes(file, finding)[:1]:
                     yield (
