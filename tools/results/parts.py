@@ -131,7 +131,11 @@ HOLDS = Part(
             "never_share_a_draw or leaves_the_other_alone or share_no_draw",
         ),
         Holding("timing `paper` is one tick more either way", "tests/channel", "paper_timing"),
-        Holding("the tests that take minutes", "tests", marker="slow"),
+        Holding(
+            "false stops, missed stops and intervals of simulated trainings are as the page on judging promises",
+            "tests/learning/test_confirmation.py",
+            marker="slow",
+        ),
     ),
 )
 LINTING = Part(
