@@ -277,9 +277,8 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
     cases = (
         f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
     )
-    ran = deepbots(
-        "train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--set", cases, "--run", "mine", "--quiet"
-    )
+    train = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--quiet")
+    ran = deepbots(*train, "--set", cases, "--run", "mine")
     rates = {
         line.split()[0]: "%" in line
         for line in ran.out.split("cases")[1].splitlines()
@@ -296,6 +295,9 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
         deepbots("eval", "mine", "--case", "flat", code=2).err
         == "error: CartPole has no case 'flat'; there are: steep, there\n"
     )
+    # More steps than those of the training, and than 100,000
+    many = cases.replace("episodes: 3", "episodes: 100_000")
+    assert "deepbots eval many" in deepbots(*train, "--set", many, "--run", "many").err
     ran = json.loads(
         deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out
     )

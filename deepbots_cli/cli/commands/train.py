@@ -421,8 +421,9 @@ def _evaluate_cases(trained: Run, permissions: Permissions, results: list[Evalua
     for number, name in enumerate(names, 1):
         unit = f"episodes of case {name} ({number} of {len(names)})"
         with terminal.progress(unit, always=False) as show_episode:
-            result = learning.evaluate(trained, case=name, permissions=permissions, on_episode=show_episode)
-        results.append(result)
+            results.append(
+                learning.evaluate(trained, case=name, permissions=permissions, on_episode=show_episode)
+            )
 
 
 def finish_group(
@@ -495,7 +496,14 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
         with terminal.progress(always=False) as show_episode:
             evaluation = learning.evaluate_trained(trained, permissions=permissions, on_episode=show_episode)
         try:
-            _evaluate_cases(trained, permissions, cases)
+            episodes = sum(case.episodes for case in trained.program.cases)
+            if evaluation.mean_length * episodes > max(result.steps, 100_000):
+                terminal.note(
+                    "the cases of the scenario would take longer than the training; evaluate them with:"
+                    f" deepbots eval {shell_word(trained.path)}"
+                )
+            else:
+                _evaluate_cases(trained, permissions, cases)
         finally:  # after an interruption, the run keeps the cases that are finished
             if evaluation.confirmation is None or cases:
                 records.write_evaluation(trained, records.evaluation_json(evaluation, cases))
@@ -589,11 +597,6 @@ def _is_change(cause: Statement) -> bool:
     return cause.cause == CHANGED
 
 
-_FRAME_RATE = 10
-"""The pictures per second, few because a browser that draws in software shares the cores with the
-training."""
-
-
 @contextmanager
 def training_page(*, enabled: bool, permissions: Permissions) -> Iterator[Callable[[Path], None]]:
     """Context with a function that shows a run in the browser, if `enabled`. The page ends with the block.
@@ -607,7 +610,8 @@ def training_page(*, enabled: bool, permissions: Permissions) -> Iterator[Callab
 
     def show(run: Path) -> None:
         if enabled:
-            options = ["--fps", str(_FRAME_RATE), *(["--allow-code"] if permissions.code else [])]
+            # Few pictures, because a browser that draws in software shares the cores with the training.
+            options = ["--fps", "10", *(["--allow-code"] if permissions.code else [])]
             pages.append(Process("deepbots_cli", "view", *options, "--", str(run), hear=show_address))
 
     def show_address(line: bytes) -> None:
