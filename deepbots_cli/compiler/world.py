@@ -652,7 +652,8 @@ def world(namespace: Namespace, robots: list[ResolvedRobot], painted: tuple[Line
     pieces = walls(namespace)
     _check_bodies(len(robots), sum(body.bodies for body in objects), len(pieces), namespace)
     return WorldModel(
-        timestep or 0.032,
+        # After DB105, the nearest one that can be run: 4 s have no number of timesteps of 1e-323 s.
+        min(max(timestep or 0.032, _MIN_TIMESTEP_S), _MAX_TIMESTEP_S),
         spec.substeps,
         ground=_ground(spec.ground, namespace) if spec.terrain is None else None,
         arena=None if spec.arena is None else _arena(spec.arena, namespace),
