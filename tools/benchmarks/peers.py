@@ -268,7 +268,11 @@ PARTS: dict[str, Callable[[int, int], Iterator[Row]]] = {
 
 def main() -> None:
     arguments = options(__doc__, parts=PARTS, pairs=15, steps=1000)
+    # PyFlyt prints, and PyBullet does at the end of the process, too.
+    stdout = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
     rows = [row for part in arguments.parts for row in PARTS[part](arguments.steps, arguments.pairs)]
+    sys.stdout = stdout
     show(rows, as_json=arguments.json)
 
 
