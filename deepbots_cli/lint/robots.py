@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import ceil, degrees, inf, pi, radians, sqrt
+from math import ceil, degrees, hypot, inf, pi, radians, sqrt
 
 from deepbots_cli import frames
 from deepbots_cli.analysis import Analysis
@@ -231,10 +231,9 @@ def _shaking(
 
 def _longest_step(stiffness: float, damping: float, inertia: float) -> float:
     """Return the engine step (s) at which the motion of a spring on this inertia ceases to be stable."""
-    if stiffness == 0.0:
-        return 2.0 * inertia / damping
-    # The positive root h of k h^2 + 2 d h = 4 I, the criterion of `min_spring_inertia`.
-    return (sqrt(damping**2 + 4.0 * stiffness * inertia) - damping) / stiffness
+    # The positive root h of k h^2 + 2 d h = 4 I, the criterion of `min_spring_inertia`, without a difference
+    # that is 0 where d is large.
+    return 4.0 * inertia / (hypot(damping, 2.0 * sqrt(stiffness * inertia)) + damping)
 
 
 # Measured in a simulation
