@@ -220,7 +220,8 @@ def _shaking(
     share = 0.99 * inertia / needed
     damping = f" and the damping below {motor.damping * share:.3g}" if motor.damping else ""
     lower = f"lower the stiffness below {(motor.stiffness or 0.0) * share:.3g} {spring}{damping}"
-    help = f"{rotor}{lower}, or write `substeps: {substeps}` under `world`"
+    more_substeps = f", or write `substeps: {substeps}` under `world`" if substeps <= 10_000 else ""
+    help = f"{rotor}{lower}{more_substeps}"
     return Finding(
         "DB325",
         context.values.key_span(("robots", robot.name, "actuators", motor.name)),

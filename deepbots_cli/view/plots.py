@@ -311,16 +311,23 @@ def curve_rows(logs: Sequence[TrainingLog], statistic: Statistic | None = None) 
     rows: list[dict[str, object]] = []
 
     def add(log: TrainingLog, run: str, seeds: int, curve: str, points: Iterable[Sequence[float]]) -> None:
-        names = "timesteps", "value", "low", "high"
-        row = {"scenario": log.name, "agent": log.agent, "run": run, "seeds": seeds, "curve": curve}
-        rows.extend({**row, **dict(zip(names, point, strict=False))} for point in points)
+        rows.extend(
+            {"scenario": log.name, "agent": log.agent, "run": run, "seeds": seeds, "curve": curve}
+            | dict(zip(("timesteps", "value", "low", "high"), point, strict=False))
+            for point in points
+        )
 
     for members in by_task(logs).values():
         of_seeds: dict[str, list[Curve]] = {}
         for log in members:
+            like = log.returns or (np.empty(0), np.empty(0))
             measures = {"return": log.returns, "success_rate": log.successes}
             terms = {f"reward.{name}": curve for name, curve in log.terms.items()}
-            endings = {f"ended_by.{name}": curve for name, curve in log.endings.items()}
+            # The share of an ending is 0 in a training that never had it.
+            endings = {
+                f"ended_by.{name}": log.endings.get(name, (like[0], 0.0 * like[1]))
+                for name in dict.fromkeys(name for member in members for name in member.endings)
+            }
             for name, curve in {**measures, **terms, **endings}.items():
                 of_seeds.setdefault(name, []).extend([] if curve is None else [curve])
             evaluated = {"return": log.evaluations, "success_rate": log.evaluated_successes}

@@ -203,10 +203,9 @@ def read_run(path: Path, window: int = 100, member: Member | None = None) -> Tra
         log.evaluation = evaluation if member is None else evaluation.of_agent(member.name)
         best = record.result.best if record.result else None
         steps = evaluation.model_steps if evaluation.model_steps is not None or best is None else best.steps
-        log.model_steps = None if steps is None else float(min(max(0, steps), log.returns[0][-1]))
-    log.successes = (
-        _averaged(episodes, episodes.successes, window, log.stages) if episodes.successes.any() else None
-    )
+        log.model_steps = None if steps is None else float(max(0, min(steps, 2**63)))
+    if record.task.defines_success if member is None else member.defines_success:
+        log.successes = _averaged(episodes, episodes.successes, window, log.stages)
     if evaluations:
         at = np.array([line["steps"] for line in evaluations])
         means, rates = (

@@ -278,16 +278,14 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
         f"evaluation={{episodes: 4, cases: {{steep: {{set: {{fall_angle: 5 deg}}, episodes: 3}}, {there}}}}}"
     )
     train = ("train", "cartpole", "--timesteps", "200", *FAST, *SOLVED, "--quiet")
-    ran = deepbots(*train, "--set", cases, "--run", "mine")
     rates = {
         line.split()[0]: "%" in line
-        for line in ran.out.split("cases")[1].splitlines()
+        for line in deepbots(*train, "--set", cases, "--run", "mine").out.split("cases")[1].splitlines()
         if line.split()[:1] in (["steep"], ["there"])
     }
     assert rates == {"steep": False, "there": True}  # a success rate only where there is a success
     report = json.loads(deepbots("eval", "mine", "--json").out)
-    assert report["case"] is None
-    assert report["episodes"] == 4
+    assert (report["case"], report["episodes"]) == (None, 4)
     assert [(case["case"], case["episodes"]) for case in report["cases"]] == [("steep", 3), ("there", 2)]
     assert report["cases"][0]["mean_return"] < report["mean_return"]
     assert json.loads(deepbots("eval", "mine", "--case", "steep", "--json").out)["cases"] == []
@@ -296,8 +294,10 @@ def test_a_run_is_evaluated_in_its_cases_too(deepbots, tmp_path):
         == "error: CartPole has no case 'flat'; there are: steep, there\n"
     )
     # More steps than those of the training, and than 100,000
-    many = cases.replace("episodes: 3", "episodes: 100_000")
-    assert "deepbots eval many" in deepbots(*train, "--set", many, "--run", "many").err
+    assert (
+        "deepbots eval many"
+        in deepbots(*train, "--set", cases.replace("episodes: 3", "episodes: 100_000"), "--run", "many").err
+    )
     ran = json.loads(
         deepbots("try", "cartpole", "--set", cases, "--case", "steep", "--driver", "forward", "--json").out
     )

@@ -76,12 +76,11 @@ def test_the_studio_shows_the_measured_times_of_trainings():
     ids=lambda holding: holding.name,
 )
 def test_what_holds_is_shown_by_tests_that_exist(holding: Holding):
+    files = chain(ROOT.glob(holding.folder), (ROOT / holding.folder).rglob("*.py"))
     tests = "\n".join(
-        path.read_text()
-        for path in chain(ROOT.glob(holding.folder), (ROOT / holding.folder).rglob("*.py"))
-        if path.is_file()
+        [f"def {page.stem}" for page in (ROOT / "tests" / "golden").rglob("*.md")]
+        + [path.read_text() for path in files if path.is_file()]
     )
-    tests += "".join(f"\ndef {page.stem}" for page in (ROOT / "tests" / "golden").rglob("*.md"))
     assert all(re.search(rf"def \w*{name}", tests) for name in holding.expression.split(" or "))
 
 

@@ -175,6 +175,16 @@ def test_a_statistic_over_seeds_has_a_bootstrap_interval_in_the_plot_and_in_the_
     assert line.get_ydata().tolist() == [row["value"] for row in rows]
 
 
+def test_a_seed_that_never_succeeds_counts_as_0(tmp_path):
+    for name, ending in (("a0", "found"), ("a1", "lost")):
+        _run(tmp_path / name, "x", [0, 2, 4, 6], endings=[ending] * 4)
+    assert {
+        row["value"]
+        for row in plots.curve_rows(training_logs.read_logs([tmp_path]))
+        if row["curve"] in ("success_rate", "ended_by.found", "ended_by.lost")
+    } == {0.5}
+
+
 def test_groups_with_runs_of_the_same_seeds_are_lines_of_their_own(tmp_path):
     for group, digest in (("slow", "x"), ("fast", "y")):
         (tmp_path / group).mkdir()

@@ -69,9 +69,9 @@ PEERS = Part(
     name="peers",
     title="Beside other projects",
     prose="""\
-CPU times with random actions, in turn with an environment of another project for the same task, both as their users make them. The rail
-has the motor, the start and the ending of Gymnasium's pendulum, and both are integrated by Euler's method. Times of a batch are per
-world, and its actions are zero.""",
+CPU times with random actions, in turn with an environment of another project for the same task, both as
+their users make them. The rail has the motor, the start and the ending of Gymnasium's pendulum, and both are
+integrated by Euler's method. Times of a batch are per world, and its actions are zero.""",
     tables=(Benchmark("peers"), Benchmark("agents_cost"), Benchmark("lint_start")),
 )
 PHYSICS = Part(
@@ -132,7 +132,7 @@ HOLDS = Part(
         ),
         Holding("timing `paper` is one tick more either way", "tests/channel", "paper_timing"),
         Holding(
-            "false stops, missed stops and intervals of simulated trainings are as the page on judging promises",
+            "simulated trainings stop too early, or never, as rarely as the page on judging says",
             "tests/learning/test_confirmation.py",
             marker="slow",
         ),

@@ -145,16 +145,17 @@ def _start(name: str, folder: Path | None, solution: str | None, *, as_json: boo
         {"step": step_name, "points": step.points, "goal": step.goal}
         for step_name, step in lesson.steps.items()
     ]
-    text = "; its text is README.md" if lesson.text("text.md") else ""
+    # A step with nothing but answers has no scenario.
+    scenario = next((name for name in lesson.step_files if name != ANSWERS_NAME), ".")
     terminal.show(
         {"lesson": lesson.name, "folder": folder, "steps": rows},
-        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}{text}\n",
+        f"lesson {lesson.label}, about {lesson.content.minutes} minutes, in {folder}"
+        f"{'; its text is README.md' if lesson.text('text.md') else ''}\n",
         table(rows, is_prose=True),
         as_json=as_json,
         next_commands=[
             f"cd {shell_word(folder)}",
-            # a step with nothing but answers has no scenario
-            f"deepbots studio {next((name for name in lesson.step_files if name != ANSWERS_NAME), '.')} --open",
+            f"deepbots studio {shell_word(scenario)} --open",
             "deepbots course check",
         ],
     )
