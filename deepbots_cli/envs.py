@@ -72,18 +72,26 @@ def make_batch(
     `deepbots_cli.make_vec`.
 
     Args:
-        max_episode_steps: Is ignored: Gymnasium passes the limit of a `spec`, which the scenario has already.
+        max_episode_steps: The limit of a `spec`, which the scenario has already.
 
     Raises:
-        UsageError: `scenario` is None; also the errors of `deepbots_cli.make_vec`.
+        UsageError: `scenario` is None, or `max_episode_steps` is not its limit; also the errors of
+            `deepbots_cli.make_vec`.
     """
     from deepbots_cli.api import make_vec
-    from deepbots_cli.errors import BatchError
+    from deepbots_cli.errors import BatchError, UsageError
 
     try:
-        return make_vec(_given(scenario), num_envs, **options)
+        batch = make_vec(_given(scenario), num_envs, **options)
     except BatchError as error:
         raise BatchError(f'{error}; or write vectorization_mode="sync", for single worlds') from error
+    if max_episode_steps not in (None, batch.max_episode_steps):
+        batch.close()
+        raise UsageError(
+            "the worlds of a batch have the limit of their scenario; write"
+            f' overrides=["truncation.max_steps={max_episode_steps}"], or vectorization_mode="sync"'
+        )
+    return batch
 
 
 def _given(scenario: str | Path | None) -> str | Path:

@@ -282,9 +282,13 @@ class LimitedSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
+        self._limited_spec = spec and replace(spec, max_episode_steps=self.max_episode_steps)
+
+    @property
+    def max_episode_steps(self) -> int | None:
+        """The number of steps after which an episode is cut short; None without a limit."""
         limits = self.scenario.truncation
-        steps = limits.max_episode_steps(self.scenario.period) if limits.limits else None
-        self._limited_spec = spec and replace(spec, max_episode_steps=steps)
+        return limits.max_episode_steps(self.scenario.period) if limits.limits else None
 
 
 _CLOSED = "the environment is closed; make a new one"

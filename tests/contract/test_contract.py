@@ -416,13 +416,18 @@ def test_a_step_after_the_end_needs_a_reset() -> None:
 
 
 def test_gymnasium_makes_a_batch_that_knows_the_limit_of_its_episodes() -> None:
-    vector = gymnasium.make_vec("deepbots/CartPole-v1", num_envs=3, vectorization_mode="vector_entry_point")
-    assert vector.spec is not None
-    assert (vector.reset(seed=0)[0].shape, vector.spec.max_episode_steps) == ((3, 4), 200)
+    with pytest.raises(UsageError, match=r"truncation\.max_steps=5"):
+        gymnasium.make_vec("deepbots/CartPole-v1", 3, "vector_entry_point", max_episode_steps=5)
+    vector = gymnasium.make_vec("deepbots/CartPole-v1", 3, "vector_entry_point", max_episode_steps=200)
+    assert (
+        vector.reset(seed=0)[0].shape,
+        vector.spec and vector.spec.max_episode_steps,
+    ) == ((3, 4), 200)
     vector.close()
 
 
 @pytest.mark.parametrize("order", ["deepbots_cli, gymnasium", "gymnasium, deepbots_cli"])
 def test_importing_deepbots_registers_its_scenarios_in_either_order(order: str) -> None:
-    code = f"import {order}; gymnasium.spec('deepbots/CartPole-v1')"
-    subprocess.run([sys.executable, "-c", code], check=True)
+    subprocess.run(
+        [sys.executable, "-c", f"import {order}; gymnasium.spec('deepbots/CartPole-v1')"], check=True
+    )
