@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
+from deepbots_cli.errors import BatchError, UsageError
+
 if TYPE_CHECKING:
     from deepbots_cli.runtime import Supervisor
     from deepbots_cli.runtime.batch import BatchEnvironment
@@ -79,7 +81,6 @@ def make_batch(
             `deepbots_cli.make_vec`.
     """
     from deepbots_cli.api import make_vec
-    from deepbots_cli.errors import BatchError, UsageError
 
     try:
         batch = make_vec(_given(scenario), num_envs, **options)
@@ -96,8 +97,6 @@ def make_batch(
 
 def _given(scenario: str | Path | None) -> str | Path:
     if scenario is None:
-        from deepbots_cli.errors import UsageError
-
         raise UsageError(
             'deepbots/Scenario-v1 needs a scenario: gymnasium.make("deepbots/Scenario-v1", scenario="my.yaml")'
         )

@@ -27,18 +27,15 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, EntryPoints
 from typing import Any, Generic, TypeVar, cast
 
+from deepbots_cli.errors import UsageError
+
 T = TypeVar("T")
 
 
 def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
     """Return the entry points of a group, in the order in which packages are found."""
     # The path is the key of the cache: a folder that is added to `sys.path` later is searched, too.
-    return _group_on_path(group, tuple(sys.path))
-
-
-@cache
-def _group_on_path(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    return tuple(_entry_points_on_path(path).select(group=group))
+    return tuple(_entry_points_on_path(tuple(sys.path)).select(group=group))
 
 
 @cache
@@ -77,10 +74,14 @@ def import_attribute(place: str) -> Any:
     """Import and return the object at `module:attribute`.
 
     Raises:
-        ImportError, AttributeError: There is no such thing.
+        ImportError: There is no such module.
+        UsageError: The module has no such attribute.
     """
     module, _, name = place.partition(":")
-    return getattr(import_module(module), name)
+    imported = import_module(module)
+    if not hasattr(imported, name):
+        raise UsageError(f"a plug-in names '{place}', but {imported.__file__} has no '{name}'")
+    return getattr(imported, name)
 
 
 class PluginTable(Mapping[str, T], Generic[T]):

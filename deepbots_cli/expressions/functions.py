@@ -1288,8 +1288,11 @@ def _require_usable_python(function: Function, field: str, allowed: Collection[s
     unknown = {*names} - {*arguments, *allowed}
     if unknown:
         raise ValueError(
-            f"the {field} of {name!r} contains {', '.join(sorted(unknown))}; write it with"
-            f" {'abs, min, max and functions of math by name' if field == 'python' else 'functions of np'}"
+            f"the {field} of {name!r} contains {', '.join(sorted(unknown))}; write it with "
+            + {
+                "python": "abs, min, max and functions of math by name (hypot, not math.hypot)",
+                "array": "functions of np",
+            }[field]
         )
 
 

@@ -327,7 +327,8 @@ def return_out_of_reach(context: RuleContext) -> Iterator[Finding]:
                 f"no episode reaches the required return of {required:g}: the highest possible return"
                 f" is {number_text(possible.high)}"
             )
-            yield Finding("DB810", context.values.span(path), headline, "require a smaller return")
+            pays = "let good steps earn a positive reward, or " if required > 0.0 >= possible.high else ""
+            yield Finding("DB810", context.values.span(path), headline, f"{pays}require a smaller return")
         elif required <= possible.low:
             headline = (
                 f"every episode reaches the required return of {required:g}: the lowest possible return"

@@ -17,8 +17,8 @@ from deepbots_cli.runtime.streams import derive_seed
 from deepbots_cli.runtime.supervisor import Supervisor
 
 RGB_ARRAY, HUMAN = "rgb_array", "human"
-DRAWS = "draws"
-"""The key of `options` of a reset with values in place of draws."""
+IGNORED = "options"
+"""The one key of `options` of a reset that names no draw: the tests of PettingZoo pass it."""
 
 
 class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # PettingZoo has no types
@@ -69,11 +69,13 @@ class ParallelEnvironment(ParallelEnv[str, Any, Any]):  # type: ignore[misc]  # 
 
         Args:
             seed: It determines this episode and all following ones until the next seed.
-            options: Values in place of draws, by name, are under the key `draws`. Other keys are ignored,
-                because wrappers of PettingZoo have options of their own.
+            options: Values in place of draws, by the names of `drawn`, which each info has.
+
+        Raises:
+            UsageError: `options` contains an unknown name, or a value that the episode cannot draw.
         """
-        draws = (options or {}).get(DRAWS)
-        self._observed, info = self.world.reset(seed=seed, options=draws)
+        values = {name: value for name, value in (options or {}).items() if name != IGNORED}
+        self._observed, info = self.world.reset(seed=seed, options=values)
         if seed is not None:
             for name, space in self.action_spaces.items():
                 space.seed(derive_seed(seed, "actions", name))

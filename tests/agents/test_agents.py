@@ -723,7 +723,7 @@ def test_a_mistake_about_agents_is_one_finding(
 def test_in_sumo_both_agents_observe_the_same_from_their_own_side() -> None:
     with closing(deepbots_cli.parallel_env("sumo")) as environment:
         draws = {"away": 0.2, "aside": 0.1, "reset.place.red.yaw": 0.3, "reset.place.blue.yaw": 0.3 + np.pi}
-        observed, _ = environment.reset(seed=0, options={"draws": draws})
+        observed, _ = environment.reset(seed=0, options=draws)
         assert observed["red"] == pytest.approx(observed["blue"], abs=1e-3)
 
 

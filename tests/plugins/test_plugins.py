@@ -429,19 +429,26 @@ def test_a_broken_plugin_is_left_out_with_one_warning(warnings, group, entry, re
     assert reason in warning
 
 
-def test_a_broken_engine_is_an_error_of_one_line(tmp_path):
+BROKEN_AT_RUN_TIME = """
+import deepbots_cli
+from deepbots_cli.plugins import import_attribute
+
+for run in (lambda: deepbots_cli.make("cartpole", engine="odd"), lambda: import_attribute("acme:piped")):
+    try:
+        run()
+    except Exception as error:
+        print(error)
+"""
+
+
+def test_a_broken_engine_or_function_of_a_plugin_is_an_error_of_one_line(tmp_path):
     installed(tmp_path, {"deepbots.engines": {"odd": "no_such_module:Odd"}})
-    done = python(
-        tmp_path,
-        "-c",
-        "import deepbots_cli\ntry:\n    deepbots_cli.make('cartpole', engine='odd')\nexcept Exception as"
-        " e:\n    print(e)",
-    )
-    expected = (
+    tmp_path.joinpath("acme.py").touch()
+    assert python(tmp_path, "-c", BROKEN_AT_RUN_TIME).stdout == (
         "the engines 'odd' (no_such_module:Odd) are not available: ModuleNotFoundError: No module"
         " named 'no_such_module'\n"
+        f"a plug-in names 'acme:piped', but {tmp_path / 'acme.py'} has no 'piped'\n"
     )
-    assert done.stdout == expected
 
 
 @pytest.fixture(scope="module")
