@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.tables import Row, row_as_lines, table, write_tables
+from deepbots_cli.cli.tables import Measured, Row, row_as_lines, table, write_tables
 from deepbots_cli.errors import RunError, UsageError
 from deepbots_cli.learning.runs.episodes import RETURN_STATISTICS, Scores, Summary, agents_text
 from deepbots_cli.learning.runs.evaluations import EvaluationResult, in_parentheses
@@ -25,7 +25,7 @@ from deepbots_cli.words import counted, number_text, rate_text, shell_word
 if TYPE_CHECKING:
     from deepbots_cli.learning.campaigns.group import GroupTraining
     from deepbots_cli.learning.comparison import EngineDifference, GroupDifference, GroupResult
-    from deepbots_cli.learning.robustness import Condition, Robustness
+    from deepbots_cli.learning.robustness import Robustness
     from deepbots_cli.view.frames import WorldFrame
 
 MAX_DRAWN = 8
@@ -48,11 +48,13 @@ def scores(record: Any, *, success_defined: bool = True, intervals: bool = True)
     row: dict[str, object] = {"return": record.mean_return}
     if intervals:
         row["return_95 %"] = (
-            "all equal" if getattr(record, "std_return", None) == 0 else interval_text(record.return_interval)
+            Measured("all equal", record.return_interval)
+            if getattr(record, "std_return", None) == 0
+            else interval_text(record.return_interval)
         )
     row["success"] = percent(record.success_rate) if is_defined else ""
     if intervals:
-        row["success_95 %"] = interval_text(record.success_interval, percent) if is_defined else ""
+        row["success_95 %"] = interval_text(record.success_interval if is_defined else None, percent)
     return row
 
 
@@ -62,7 +64,7 @@ def differences(entry: GroupDifference | EngineDifference) -> Row:
     if entry.mean_return is not None:
         row |= {"return": entry.mean_return.mean, "return_95 %": interval_text(entry.mean_return.interval)}
     if entry.success_rate is not None:
-        row["success"] = f"{entry.success_rate.mean:+.1%}"
+        row["success"] = Measured(f"{entry.success_rate.mean:+.1%}", entry.success_rate.mean)
         row["success_95 %"] = interval_text(entry.success_rate.interval, percent)
     return row
 
@@ -83,13 +85,13 @@ def number(value: float) -> str:
     return f"{value:z.4f}" if 0 < abs(value) < 1 else f"{value:z.2f}"
 
 
-def percent(share: float) -> str:
-    return f"{rate_text(share, 1)}"
+def percent(share: float) -> Measured:
+    return Measured(rate_text(share, 1), share)
 
 
-def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = number_text) -> str:
-    """Return an interval as the text of a cell."""
-    return "" if interval is None else " .. ".join(dict.fromkeys(map(form, interval)))
+def interval_text(interval: tuple[Any, Any] | None, form: Callable[[Any], str] = number_text) -> Measured:
+    """Return an interval as a cell."""
+    return Measured(" .. ".join(dict.fromkeys(map(form, interval or ()))), (interval or (None, None)))
 
 
 def with_interval(
@@ -494,7 +496,8 @@ def _robustness_notes(robustness: Robustness, bar: float, *, is_rate: bool) -> I
     names = [
         condition.name
         for condition in robustness.conditions
-        if condition.levels and not _changes_episodes(condition, nominal)
+        if condition.levels
+        and all(_episodes(level.evaluation) == _episodes(nominal) for level in condition.levels)
     ]
     if names:
         yield f"no effect on any episode (the lengths and returns are unchanged): {', '.join(names)}"
@@ -513,11 +516,6 @@ def _robustness_notes(robustness: Robustness, bar: float, *, is_rate: bool) -> I
 def _level_row(condition: str, level: str, result: EvaluationResult, *, holds: bool, certain: bool) -> Row:
     required = ("met" if holds else "missed") + ("" if certain else ", not significant")
     return {"condition": condition, "level": level, **scores(result), "required": required}
-
-
-def _changes_episodes(condition: Condition, nominal: EvaluationResult) -> bool:
-    """Return whether a level of a condition changes the return or the length of an episode."""
-    return any(_episodes(level.evaluation) != _episodes(nominal) for level in condition.levels)
 
 
 def _episodes(result: EvaluationResult) -> list[tuple[float, int]]:

@@ -59,8 +59,9 @@ class StudyDisplay(StudyReporter):
         self._noted: set[str] = set()
         record = study.record
         if not quiet:
-            keys = ", ".join(f"{name} = {space}" for name, space in record.search.items())
-            terminal.note(f"study {study.path}: {keys}")
+            terminal.note(
+                f"study {study.path}: {', '.join(f'{name} = {space}' for name, space in record.search.items())}"
+            )
             terminal.note(
                 f"{counted(record.trials, 'trial')} with {counted(len(record.seeds), 'seed')} and at most"
                 f" {record.total_timesteps:,} timesteps each; {_OBJECTIVES[record.objective]}; Ctrl-C keeps"

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from io import StringIO
+from itertools import chain, starmap
 from pathlib import Path
 
 from rich.cells import cell_len
@@ -17,6 +18,18 @@ from deepbots_cli.expressions.text import value_text
 from deepbots_cli.files import atomic_write, csv_text
 
 Row = Mapping[str, object]
+
+
+class Measured(str):
+    """The text of a cell, and the `number` or the two ends of the interval that it shows, for CSV."""
+
+    number: object
+
+    def __new__(cls, text: str, number: object) -> Measured:
+        cell = super().__new__(cls, text)
+        cell.number = number
+        return cell
+
 
 _MIN_TEXT_WIDTH = 12
 """The smallest width of a column of text; below it, most words are broken."""
@@ -75,20 +88,35 @@ _LATEX = str.maketrans(
 )
 
 
-def write_tables(rows: Sequence[Row], csv: Path | None, latex: Path | None) -> None:
-    """Write rows as CSV, with numbers in full, and as a table of LaTeX with the rules of `booktabs`."""
+def write_tables(
+    rows: Sequence[Row], csv: Path | None, latex: Path | None, *more_rows: Sequence[Row]
+) -> None:
+    """Write rows as CSV, with numbers in full, and as a table of LaTeX with the rules of `booktabs`, which
+    further tables follow."""
     if csv is not None:
+        numbers = [dict(chain.from_iterable(starmap(_numbers, row.items()))) for row in rows]
         with atomic_write(csv) as draft:
-            draft.write_text(csv_text(rows), encoding="utf-8", newline="")
+            draft.write_text(csv_text(numbers), encoding="utf-8", newline="")
     if latex is not None:
-        names, cells, right = _columns(rows)
-        head, *lines = (
-            " & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in (names, *cells)
-        )
-        columns = "".join("r" if is_number else "l" for is_number in right)
-        parts = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
         with atomic_write(latex) as draft:
-            draft.write_text("\n".join([*parts, r"\end{tabular}", ""]), encoding="utf-8")
+            draft.write_text("\n".join(map(_tabular, (rows, *more_rows))), encoding="utf-8")
+
+
+def _numbers(name: str, cell: object) -> Iterable[tuple[str, object]]:
+    """Return the columns of CSV for a cell: an interval has one for each end."""
+    number = getattr(cell, "number", cell)
+    if not isinstance(number, tuple):
+        return [(name, number)]
+    stem = name.removesuffix("_95 %")
+    return zip((f"{stem}_low", f"{stem}_high"), number, strict=True)
+
+
+def _tabular(rows: Sequence[Row]) -> str:
+    names, cells, right = _columns(rows)
+    head, *lines = (" & ".join(cell.translate(_LATEX) for cell in row) + r" \\" for row in (names, *cells))
+    columns = "".join("r" if is_number else "l" for is_number in right)
+    parts = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", head, r"\midrule", *lines, r"\bottomrule"]
+    return "\n".join([*parts, r"\end{tabular}", ""])
 
 
 def row_as_lines(row: Row, indent: str = "  ") -> str:

@@ -32,7 +32,7 @@ from deepbots_cli import api
 from deepbots_cli.cli import terminal
 from deepbots_cli.cli.command import Commands, _command
 from deepbots_cli.cli.commands import COMMANDS, EXCLUDES, GONE, GROUPS, NEEDS, REPLACEMENTS, TAKES, bench
-from deepbots_cli.cli.tables import row_as_lines, table, write_tables
+from deepbots_cli.cli.tables import Measured, row_as_lines, table, write_tables
 from deepbots_cli.cli.terminal import ProgressBar
 from deepbots_cli.diagnostics.render import display_width
 from deepbots_cli.engine_kinds import ENGINES
@@ -637,22 +637,44 @@ def test_rows_are_columns_of_text_and_numbers():
     ]
 
 
-def test_a_table_of_latex_prints_the_names_and_numbers_of_the_rows(tmp_path):
+def test_a_table_has_texts_in_latex_and_numbers_in_csv(tmp_path):
     rows = [
-        {"run": "a_b & 50% {x}", "solved": "[0.9 .. 1]", "return": 1.5, "interval": "1 .. 2", "empty": None},
-        {"run": r"\input|<*>~^#$", "solved": "", "return": None, "interval": None, "empty": ""},
+        {
+            "run": "a_b & 50% {x}",
+            "solved": "[0.9 .. 1]",
+            "return": 1.5,
+            "success": Measured("33.3%", 1 / 3),
+            "success_95 %": Measured("1.0% .. 2.0%", (0.01, 0.02)),
+            "empty": None,
+        },
+        {"run": r"\input|<*>~^#$", "solved": "", "return": None, "success": "", "empty": ""},
     ]
-    write_tables(rows, None, tmp_path / "table.tex")
-    assert (tmp_path / "table.tex").read_text(encoding="utf-8").splitlines() == [
-        r"\begin{tabular}{llrl}",
-        r"\toprule",
-        r"run & solved & return & interval \\",
-        r"\midrule",
-        r"a\_b \& 50\% \{x\} & {[}0.9 .. 1] & 1.5 & 1 .. 2 \\",
-        r"\textbackslash{}input\textbar{}\textless{}{*}\textgreater{}\textasciitilde{}\textasciicircum{}\#\$"
-        r" & - & - & - \\",
-        r"\bottomrule",
-        r"\end{tabular}",
+    write_tables(rows, tmp_path / "table.csv", tmp_path / "table.tex", [{"group": "a"}])
+    assert [(tmp_path / name).read_text("utf-8").splitlines() for name in ("table.csv", "table.tex")] == [
+        [
+            "run,solved,return,success,success_low,success_high,empty",
+            "a_b & 50% {x},[0.9 .. 1],1.5,0.3333333333333333,0.01,0.02,",
+            r"\input|<*>~^#$,,,,,,",
+        ],
+        [
+            r"\begin{tabular}{llrll}",
+            r"\toprule",
+            r"run & solved & return & success & success\_95 \% \\",
+            r"\midrule",
+            r"a\_b \& 50\% \{x\} & {[}0.9 .. 1] & 1.5 & 33.3\% & 1.0\% .. 2.0\% \\",
+            r"\textbackslash{}input\textbar{}\textless{}{*}\textgreater{}\textasciitilde{}\textasciicircum{}\#\$"
+            r" & - & - & - & - \\",
+            r"\bottomrule",
+            r"\end{tabular}",
+            "",
+            r"\begin{tabular}{l}",
+            r"\toprule",
+            r"group \\",
+            r"\midrule",
+            r"a \\",
+            r"\bottomrule",
+            r"\end{tabular}",
+        ],
     ]
 
 

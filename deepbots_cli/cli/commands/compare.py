@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from deepbots_cli import api, learning
-from deepbots_cli.analysis.changes import Change, Effect, Meanings, scenario_changes
+from deepbots_cli.analysis.changes import Change, Effect, scenario_changes
 from deepbots_cli.cli import arguments, records, terminal
 from deepbots_cli.cli.arguments import open_source
 from deepbots_cli.cli.command import (
@@ -31,7 +31,7 @@ from deepbots_cli.cli.command import (
     option,
 )
 from deepbots_cli.cli.exits import FAILED, WRONG_USAGE
-from deepbots_cli.cli.tables import Row, table, write_tables
+from deepbots_cli.cli.tables import Measured, Row, table, write_tables
 from deepbots_cli.document import Permissions, shipped
 from deepbots_cli.errors import ScenarioError, UsageError
 from deepbots_cli.files import check_output
@@ -134,10 +134,11 @@ def command(
             csv,
             None,
         )
-        write_tables(groups, None, latex)
+        write_tables(groups, None, latex, *([differences] if _has_measures(differences) else []))
     verdict = "\n".join(entry.verdict for entry in comparison.differences)
-    lines = _lines(comparison, groups, differences)
-    terminal.show(_data(comparison), *lines, verdict=verdict, as_json=as_json)
+    terminal.show(
+        _data(comparison), *_lines(comparison, groups, differences), verdict=verdict, as_json=as_json
+    )
 
 
 def _scenario_of_rivals(runs: Sequence[Path], permissions: Permissions) -> Compiled | None:
@@ -223,12 +224,19 @@ def _difference_rows(comparison: Comparison) -> list[Row]:
     rows: list[Row] = []
     for entry in comparison.differences:
         after = entry.solved_after
-        steps = None if after is None else f"{after.mean:+,.0f} ({records.interval_text(after.interval)})"
+        steps = after and Measured(
+            f"{after.mean:+,.0f} ({records.interval_text(after.interval)})", after.mean
+        )
         improvement_column = "probability_of_improvement" if entry.between_seeds else "episodes_better"
         row = {"group": entry.group, **records.differences(entry), "solved_after_steps": steps}
         measured = None if entry.compared is None else getattr(entry, entry.compared)
         rows.append(row | {improvement_column: None if measured is None else measured.improvement})
     return rows
+
+
+def _has_measures(differences: Sequence[Row]) -> bool:
+    """Return whether rows have more than the name of a group."""
+    return any(len({*row.values()} - {None}) > 1 for row in differences)
 
 
 def _lines(comparison: Comparison, groups: Sequence[Row], differences: Sequence[Row]) -> Iterator[str]:
@@ -244,7 +252,7 @@ def _lines(comparison: Comparison, groups: Sequence[Row], differences: Sequence[
         f" {comparison.seed}"
     )
     yield table(groups)
-    if any(len({*row.values()} - {None}) > 1 for row in differences):  # more than the name of the group
+    if _has_measures(differences):
         yield f"\ndifference from {comparison.groups[0].name}"
         yield table(differences)
     compared = [entry.compared for entry in comparison.differences if not entry.between_seeds]
@@ -272,7 +280,7 @@ def _row(group: GroupResult, *, success_defined: bool) -> Row:
         **records.scores(group, success_defined=success_defined),
         "mean_length": fmean(result.mean_length for result in group.evaluations),
         "interquartile_mean": group.interquartile_mean if len(group.evaluations) > 1 else None,
-        "solved_after_steps": f"{fmean(solved):,.0f}{count}" if solved else None,
+        "solved_after_steps": Measured(f"{fmean(solved):,.0f}{count}", fmean(solved)) if solved else None,
     }
 
 
@@ -281,14 +289,19 @@ def _range(steps: Sequence[int]) -> int | str | None:
     highest."""
     if not steps:
         return None
-    return steps[0] if len(set(steps)) == 1 else f"{min(steps):,} .. {max(steps):,}"
+    return (
+        steps[0] if len(set(steps)) == 1 else records.interval_text((min(steps), max(steps)), "{:,}".format)
+    )
 
 
 def _data(comparison: Comparison) -> dict[str, Any]:
     differences = [
         {
             **{name: value for name, value in vars(entry).items() if name != "means"},
-            "meanings": _paths(entry.meanings),
+            # The differing places of the two scenarios, by the meaning that they change.
+            "meanings": {
+                name: [change.path for change in changes] for name, changes in vars(entry.meanings).items()
+            },
             "verdict": entry.verdict,
             "compared": entry.compared,
         }
@@ -304,11 +317,6 @@ def _data(comparison: Comparison) -> dict[str, Any]:
         ],
         "differences": differences,
     }
-
-
-def _paths(meanings: Meanings) -> dict[str, list[str]]:
-    """Return the differing places of two scenarios, by the meaning that they change."""
-    return {name: [change.path for change in changes] for name, changes in vars(meanings).items()}
 
 
 def match_lines(result: MatchTable) -> Iterator[str]:

@@ -119,7 +119,9 @@ def _list(folder: Path, *, as_json: bool) -> None:
             }
         )
     commands = [
-        f"check {shell_word(str(row['folder']))}" for row in rows if row["points"] and not _is_full(row)
+        f"check {shell_word(str(row['folder']))}"
+        for row in rows
+        if len({*str(row["points"]).split(" of ")}) == 2
     ]
     commands += [f"start {row['lesson']}" for row in rows if not row["points"]]
     terminal.show(
@@ -128,10 +130,6 @@ def _list(folder: Path, *, as_json: bool) -> None:
         as_json=as_json,
         next_commands=[f"deepbots course {command}" for command in commands[:1]],
     )
-
-
-def _is_full(row: Row) -> bool:
-    return len({*str(row["points"]).split(" of ")}) == 1
 
 
 def _start(name: str, folder: Path | None, solution: str | None, *, as_json: bool) -> None:

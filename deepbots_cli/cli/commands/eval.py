@@ -229,10 +229,9 @@ def command(
     if source.kind is SourceKind.GROUP:
         _evaluate_group(request, seed=seed or 0, model="last" if last else "best")
         return
-    ref = ModelRef.open(source, model="last" if last else "best")
     _evaluate_run(
         request,
-        ref,
+        ModelRef.open(source, model="last" if last else "best"),
         seed,
         baselines=baselines,
         details=details,
@@ -353,8 +352,7 @@ def _evaluate_run(
     else:
         data = evaluations[0].as_json()
         verdict = records.evaluation_verdict(evaluations[0].result)
-        lines = evaluations[0].lines(details=details)
-        terminal.show(data, *lines, verdict=verdict, as_json=request.as_json)
+        terminal.show(data, *evaluations[0].lines(details=details), verdict=verdict, as_json=request.as_json)
     _require(requirements, [evaluation.result for evaluation in evaluations], request.junit)
 
 
@@ -403,8 +401,9 @@ def _evaluate_in_engine(
                 )
             unfinished.remove(name)
         if baselines:
-            of_policy = ("model", "deterministic")
-            baseline_options = {name: value for name, value in options.items() if name not in of_policy}
+            baseline_options = {
+                name: value for name, value in options.items() if name not in ("model", "deterministic")
+            }
             # The evaluation may have ended early, and baselines have its starts.
             baseline_options |= {"episodes": result.episodes, "seed": result.seed}
             with terminal.progress(f"{unit} of baselines", always=False) as show_episode:

@@ -115,8 +115,9 @@ def command(
         )
         return
     if to is Form.webots:
-        export = entry_of_webots("exporter")
-        export(source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json)
+        entry_of_webots("exporter")(
+            source, out, overrides or (), Permissions(allow_paths or ()), agent, last, force, as_json
+        )
         return
     check_options(ctx, "a policy")
     model = "last" if last else "best"
@@ -154,8 +155,9 @@ def _show_folder(folder: Path, files: Mapping[PurePosixPath, bytes], form: Form,
     )
     if is_hub and PurePosixPath("replay.mp4") not in files:
         terminal.note("there is no video, because this machine draws no pictures or writes no MP4")
-    listing = f"{folder}: {', '.join(map(str, files))}"
-    terminal.show({"folder": folder}, listing, as_json=as_json, next_commands=upload)
+    terminal.show(
+        {"folder": folder}, f"{folder}: {', '.join(map(str, files))}", as_json=as_json, next_commands=upload
+    )
 
 
 def _show_bundle(

@@ -176,8 +176,9 @@ def command(
         terminal.note_warnings(api.lint(paths[0], permissions=permissions), str(paths[0]), permissions)
     if starter is not None:
         _note_places(starter)
-    has_schema = bool(schema or project)
-    commands = _next_commands(paths[0], starter, permissions, has_schema=has_schema, as_json=as_json)
+    commands = _next_commands(
+        paths[0], starter, permissions, has_schema=bool(schema or project), as_json=as_json
+    )
     todos = None if starter is None else starter.todos
     unchanged = before.items() & _contents(paths).items()
     _show(paths, {path for path, _ in unchanged}, commands, permissions, first, as_json=as_json, todos=todos)

@@ -581,8 +581,10 @@ def _run_data(report: Report) -> dict[str, object]:
         agent.name: {"result": agent.result, "causes": [cause.as_json() for cause in agent.causes]}
         for agent in report.agents
     }
-    causes = [cause.as_json() for cause in report.causes]
-    return {"causes": causes, **({"agents": of_agents} if of_agents else {})}
+    return {
+        "causes": [cause.as_json() for cause in report.causes],
+        **({"agents": of_agents} if of_agents else {}),
+    }
 
 
 def command_plot(

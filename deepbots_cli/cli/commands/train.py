@@ -326,8 +326,9 @@ def command_resume(
     if group is not None:
         check_options(ctx, "a group of seeds")
         with arguments.executor(workers, address, len(group.record.seeds), quiet=quiet) as executor:
-            announce = None if quiet else announce_seed
-            training = learning.resume_group(trained, on_seed=announce, executor=executor, **settings)
+            training = learning.resume_group(
+                trained, on_seed=None if quiet else announce_seed, executor=executor, **settings
+            )
             finish_group(training, executor, **output_options)
         return
     check_options(ctx, "a run")

@@ -57,8 +57,7 @@ def reach(draft: Draft) -> dict[str, object] | None:
         "angles + stride * move    # each joint goes on from where it is",
     )
     gripper = add_gripper(draft, limb.fingers, "0.5 - 0.5 * grip")
-    held = [joint for joint in build.driven if joint not in joints and joint.name not in gripper]
-    draft.hold(held)
+    draft.hold([joint for joint in build.driven if joint not in joints and joint.name not in gripper])
     lift = (0.0, 0.0, draft.height)
     ends = [
         " ".join(short_number(round(value, 3)) for value in frames.add(corner, lift))

@@ -552,8 +552,9 @@ def scenario(model: RobotModel, urdf: str, name: str, choices: Choices) -> First
             **{"place": draft.raised, **values},
         )
     )
-    suitable = suitable_tasks(build, judgment.kind or Kind.mechanism)
-    further = tuple(other for other in suitable if other != task)
+    further = tuple(
+        other for other in suitable_tasks(build, judgment.kind or Kind.mechanism) if other != task
+    )
     return FirstScenario(
         "".join(f"{with_comment(line)}\n" for line in text.splitlines()), judgment, task, further
     )
