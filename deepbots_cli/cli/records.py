@@ -103,22 +103,31 @@ def with_interval(
     )
 
 
-def means(record: Any, *, success_defined: bool = True, over: str = "", remark: str = "") -> Row:
+def means(
+    record: Any, *, success_defined: bool = True, over: str = "", remark: str = "", stopped: str = ""
+) -> Row:
     """Return the lines of a record: mean return and success rate with their intervals, by default those of
     the record; `over` is the end of the names of other ones. `remark` stands behind the interval of the
-    return."""
+    return, `stopped` behind both."""
     interval, of_success = (getattr(record, f"{name}_interval{over}") for name in ("return", "success"))
     has_success = success_defined and record.success_rate is not None
     return {
-        "mean return": with_interval(record.mean_return, interval, remark=remark),
-        "success rate": with_interval(record.success_rate, of_success, percent) if has_success else "",
+        "mean return": with_interval(record.mean_return, interval, remark=remark + stopped),
+        "success rate": with_interval(record.success_rate, of_success, percent, stopped)
+        if has_success
+        else "",
     }
 
 
 def _statistics(result: Summary, *, success_defined: bool, agents: Mapping[str, Scores] | None = None) -> Row:
     """Return the lines about episodes; of several agents, the scores of each, and what all have in common."""
-    remark = "; all returns are equal" if result.std_return == 0 else ""
-    of_all = means(result, success_defined=success_defined, remark=remark)
+    is_early = (getattr(result, "planned", None) or 0) > result.episodes
+    of_all = means(
+        result,
+        success_defined=success_defined,
+        remark="; all returns are equal" if result.std_return == 0 else "",
+        stopped=f"; as for {result.episodes} planned episodes" if is_early else "",
+    )
     common = {
         "mean length": f"{result.mean_length:.1f} steps",
         "ended by": _endings(result),

@@ -271,7 +271,8 @@ def _difference_lines(compared: WorldComparison, first_name: str, second_name: s
     return [
         f"\nthe same actions in both worlds ({size}): what differs, and from which step on",
         table(rows),
-        "difference: root mean square over all steps, as a share of the width that the value spans",
+        "listed: values that differ by more than 1 % of the width that they span; difference: root mean"
+        " square over all steps, as a share of this width",
     ]
 
 
