@@ -33,12 +33,11 @@ def training_times() -> dict[str, str]:
     for name, experiment in experiments().items():
         headline = Headline.of(Standing.of(experiment, measure.read(Places().record(name))))
         if headline is not None:
-            times[name] = _rounded(headline.cpu_seconds)
+            seconds = headline.cpu_seconds
+            times[name] = (
+                f"{max(10, round(seconds, -1)):.0f} s" if seconds < 95 else f"{seconds / 60:.0f} min"
+            )
     return times
-
-
-def _rounded(seconds: float) -> str:
-    return f"{max(10, round(seconds, -1)):.0f} s" if seconds < 95 else f"{seconds / 60:.0f} min"
 
 
 def main(names: list[str]) -> None:

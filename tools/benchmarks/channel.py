@@ -49,7 +49,10 @@ def delays_and_orders() -> Iterator[Row]:
         True,
     )
     yield Row(
-        "of them delivered before they arrived, or a tick too late", wrong_ticks(pairs, latencies), "", 0
+        "of them delivered before they arrived, or a tick too late",
+        float(sum(not -1e-9 <= tick - message - latencies[message] < 1 for tick, message in pairs)),
+        "",
+        0,
     )
     came = [message + latencies[message] for _, message in pairs]
     yield Row(
@@ -69,10 +72,6 @@ def delays_and_orders() -> Iterator[Row]:
     yield Row(
         "order newest: delivered after a newer one", float(sum(a > b for a, b in pairwise(newest))), "", 0
     )
-
-
-def wrong_ticks(pairs: list[tuple[int, int]], latencies: list[float]) -> float:
-    return float(sum(not -1e-9 <= tick - message - latencies[message] < 1 for tick, message in pairs))
 
 
 def losses() -> Iterator[Row]:

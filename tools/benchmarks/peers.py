@@ -129,26 +129,30 @@ def beside(
 
 def pendulum(steps: int, count: int) -> Iterator[Row]:
     ours = api.make(RAIL, overrides=AS_PENDULUM, engine="mujoco")
-    what = f"rail / InvertedPendulum of {of(GYMNASIUM)}"
-    yield from beside(what, ours, euler_pendulum(), steps, count, 1.05, 2)
+    yield from beside(
+        f"rail / InvertedPendulum of {of(GYMNASIUM)}", ours, euler_pendulum(), steps, count, 1.05, 2
+    )
 
 
 def push(steps: int, count: int) -> Iterator[Row]:
     theirs = peer(PANDA, "PandaPush-v3")
-    what = f"panda_push / PandaPush of {of(PANDA)}"
-    yield from beside(what, api.make("panda_push"), theirs, steps // 5, count, 0.95)
+    yield from beside(
+        f"panda_push / PandaPush of {of(PANDA)}", api.make("panda_push"), theirs, steps // 5, count, 0.95
+    )
 
 
 def reach(steps: int, count: int) -> Iterator[Row]:
     theirs = peer(PANDA, "PandaReach-v3")
-    what = f"panda_reach / PandaReach of {of(PANDA)}"
-    yield from beside(what, api.make("panda_reach"), theirs, steps // 5, count, 1)
+    yield from beside(
+        f"panda_reach / PandaReach of {of(PANDA)}", api.make("panda_reach"), theirs, steps // 5, count, 1
+    )
 
 
 def drone(steps: int, count: int) -> Iterator[Row]:
     theirs = peer(PYFLYT, "PyFlyt/QuadX-Hover-v4")
-    what = f"quadrotor / QuadX-Hover of {of(PYFLYT)}"
-    yield from beside(what, api.make("quadrotor"), theirs, steps // 5, count, 0.95)
+    yield from beside(
+        f"quadrotor / QuadX-Hover of {of(PYFLYT)}", api.make("quadrotor"), theirs, steps // 5, count, 0.95
+    )
 
 
 def engine(steps: int, count: int) -> Iterator[Row]:

@@ -75,8 +75,7 @@ def long_scenario() -> str:
     head = head.replace("-20 .. 20 deg", "-60 .. 60 deg")
     tail = tail.replace("  failure:\n", f"  failure:\n{failures}")
     # The rewards come first: the editor draws the lines that are in view.
-    reward = f"reward:\n  alive: 1\n{rewards}"
-    return head.replace("parameters:\n", f"{reward}parameters:\n") + tail
+    return head.replace("parameters:\n", f"reward:\n  alive: 1\n{rewards}parameters:\n") + tail
 
 
 @contextmanager
@@ -290,8 +289,9 @@ def curve_rows(steps: int) -> Iterator[Row]:
 def speed(folder: Path, steps: int) -> float:
     """Timesteps per second of a training from the shell."""
     run = folder / "runs" / f"speed-{time.monotonic_ns()}"
-    words = ("train", "mine.yaml", "--run", str(run), "--timesteps", str(steps))
-    command = python_command("deepbots_cli", *words)
+    command = python_command(
+        "deepbots_cli", "train", "mine.yaml", "--run", str(run), "--timesteps", str(steps)
+    )
     environment = python_environment()
     try:
         subprocess.run(

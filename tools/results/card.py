@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from deepbots_cli.words import number_text
 from tools.results import measure
-from tools.results.experiment import Experiment, Training
+from tools.results.experiment import Training
 from tools.results.standing import Entry, Headline, Standing, together
 
 WIDTH = 150
@@ -34,10 +34,6 @@ def wrapped(text: str, indent: str = "") -> list[str]:
 def slug(text: str) -> str:
     """The anchor of a heading."""
     return re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-")
-
-
-def card_title(experiment: Experiment) -> str:
-    return f"Results of {experiment.title}"
 
 
 def share(entry: Entry) -> str:
@@ -80,7 +76,7 @@ def measured_on(entries: Iterable[Entry]) -> list[str]:
 
 def card(standing: Standing) -> str:
     experiment = standing.experiment
-    title = [NOTE, "", f"# {card_title(experiment)}", ""]
+    title = [NOTE, "", f"# Results of {experiment.title}", ""]
     measured = list(standing.entries())
     prose = [line for text in (experiment.prose, experiment.paper) if text for line in (*wrapped(text), "")]
     if not measured:
@@ -96,8 +92,10 @@ def card(standing: Standing) -> str:
         ]
     if any(standing.record["trainings"].values()):
         lines += [f"![Learning curves of {experiment.title}](../images/results/{experiment.name}.svg)", ""]
-    rows = [(verdict.what, verdict.measured) for verdict in standing.verdicts()]
-    lines += [*table(("figure", "measured"), rows), ""]
+    lines += [
+        *table(("figure", "measured"), [(verdict.what, verdict.measured) for verdict in standing.verdicts()]),
+        "",
+    ]
     for training in experiment.trainings:
         lines += _seeds(standing, training)
     lines += _episodes(standing)
@@ -233,8 +231,10 @@ def _episodes(standing: Standing) -> list[str]:
             )
     if not rows:
         return []
-    head = ("episodes", "seed", "number", "succeed", "mean return", "worst, best", "ended by")
-    return [*table(head, rows), ""]
+    return [
+        *table(("episodes", "seed", "number", "succeed", "mean return", "worst, best", "ended by"), rows),
+        "",
+    ]
 
 
 def _held(name: str, held: Mapping[int, Entry]) -> Iterator[tuple[str, ...]]:

@@ -421,8 +421,7 @@ def _try(scenario: str, baseline: Baseline) -> dict[str, Any]:
 
 
 def _speeds(scenario: str, engines: tuple[str, ...]) -> dict[str, Any]:
-    words = shlex.split(speeds_request(scenario, engines).command)[1:]
-    result, seconds = deepbots(*words)
+    result, seconds = deepbots(*shlex.split(speeds_request(scenario, engines).command)[1:])
     return {
         "cpu_seconds": round(seconds, 1),
         "step_us": {row["engine"]: round(row["step_us"], 1) for row in result["speeds"]},

@@ -191,7 +191,12 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
         words.update(verdicts)
         missed += [standing.experiment.title] * ("**missed**" in verdicts)
     for part in PARTS:
-        met = _met(tables[part.name])
+        met = [
+            row["met"]
+            for entry in tables[part.name].values()
+            for row in entry["rows"]
+            if row["met"] is not None
+        ]
         words.update("met" if one else "**missed**" for one in met)
         missed += [part.title] * (not all(met))
     where = f" ({', '.join(missed)})" if missed else ""
@@ -208,11 +213,6 @@ def _bars(standings: Sequence[Standing], tables: Mapping[str, Entry]) -> str:
         if old
         else text
     )
-
-
-def _met(tables: Entry) -> list[bool]:
-    """Of the rows of a part that have bars."""
-    return [row["met"] for entry in tables.values() for row in entry["rows"] if row["met"] is not None]
 
 
 # The page of measurements
@@ -236,11 +236,15 @@ def _lines_of_part(part: Part, measured: Entry) -> list[str]:
         (entry, row) for name in part.tables if (entry := measured.get(name.name)) for row in entry["rows"]
     ]
     if all(isinstance(table, Holding) for table in part.tables):
-        rows = [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in entries]
-        lines += table(("what", "measured", "command"), rows)
+        lines += table(
+            ("what", "measured", "command"),
+            [(row["what"], _passed(row), f"`{entry['command']}`") for entry, row in entries],
+        )
     else:
-        values = [(row["what"], f"{_value(row['measured'])} {row['unit']}".rstrip()) for _, row in entries]
-        lines += table(("what", "measured"), values)
+        lines += table(
+            ("what", "measured"),
+            [(row["what"], f"{_value(row['measured'])} {row['unit']}".rstrip()) for _, row in entries],
+        )
         lines += ["", *wrapped(", ".join(f"`{entry['command']}`" for entry in measured.values()))]
     if missing := [entry.command for entry in part.tables if entry.name not in measured]:
         lines += ["", *wrapped(f"Not measured: {', '.join(f'`{command}`' for command in missing)}.")]

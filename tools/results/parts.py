@@ -61,8 +61,9 @@ says how its style changes the cost). "A plain environment by hand" is one class
 in an arena, and has no bar. Answers of the language server are timed over its standard streams at random places, a quarter of them
 directly after a change of the text. Linting is timed as installed, with compiled modules. Other processes on the machine add 10 to 25 %
 to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, which computes its memory in every step, 1.28 to 1.36.""",
-    tables=tuple(
-        map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost"))
+    tables=(
+        *map(Benchmark, ("step_cost", "plain_cost", "sensor_cost", "compile_cost", "lint_cost", "lsp_cost")),
+        Benchmark("first_install"),
     ),
 )
 PEERS = Part(

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from deepbots_cli.learning.runs.directories import write_text
-from tools.results.experiment import Bar, Crossed, Experiment, Mark, Solved
+from tools.results.experiment import Crossed, Experiment, Mark, Solved
 
 Entry = Mapping[str, Any]
 
@@ -111,16 +111,15 @@ def marks(experiment: Experiment) -> list[Mark]:
         if isinstance(bar.figure, (Solved, Crossed)) and bar.figure.what == "simulated_hours"
     ]
     hours = [
-        Mark(f"{_whose(bar)}: {bar.at_most:g} h", hours=bar.at_most)
+        Mark(
+            f"{'stretch' if bar.stretch else 'asked'}{'' if bar.over == 'all' else f' of the {bar.over}'}:"
+            f" {bar.at_most:g} h",
+            hours=bar.at_most,
+        )
         for bar in bars
         if bar.at_most is not None
     ]
     return [*experiment.marks, *hours]
-
-
-def _whose(bar: Bar) -> str:
-    """Whose line the hours of a bar are: `asked`, `asked of the median`, `stretch`."""
-    return ("stretch" if bar.stretch else "asked") + ("" if bar.over == "all" else f" of the {bar.over}")
 
 
 def _draw(axes: Any, experiment: Experiment, entries: list[tuple[str, int, Entry]]) -> None:
