@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from shlex import quote
 from statistics import fmean
 
 import typer
@@ -188,7 +189,8 @@ def show_study(study: Study, *, is_done: bool, as_json: bool) -> None:
         # The best of equal scores was chosen by too few starts.
         if len(ranked) == 1 or ranked[1].score != best.score:
             command = study.record.training_command(best.assignments, unused_seeds(study))
-            further.append(" ".join(map(shell_word, command)))
+            # Only the scenario, the third word, is a path.
+            further.append(" ".join([*command[:2], shell_word(command[2]), *map(quote, command[3:])]))
     terminal.show(data, *lines, as_json=as_json, next_commands=further)
     if not is_done:
         raise typer.Exit(INTERRUPTED)

@@ -964,8 +964,8 @@ CAUSES: tuple[Cause, ...] = (
         title="exploration prevents success",
         likelihood=0.923,
         numbers=learner.exploration_hides_success,
-        text="Without exploration, the policy succeeds in {without}{where} at the end of the training. With"
-        " exploration, it succeeds in {with}. Exploration prevents success.",
+        text="Without exploration, the policy succeeds in {without}{where} at the end of the training. The last"
+        " episodes of the training, with exploration, succeed in {with}: exploration prevents success.",
         advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots"
         " view`, `eval` and `export` run it without exploration.",
     ),
@@ -974,7 +974,7 @@ CAUSES: tuple[Cause, ...] = (
         title="the policy succeeds only with exploration",
         likelihood=0.923,
         numbers=learner.success_needs_exploration,
-        text="With exploration, the policy succeeds in {with} at the end of the training. Without it, it"
+        text="The last episodes of the training, with exploration, succeed in {with}. Without it, the policy"
         " succeeds in {without}{where}: it seems to stand still or to repeat itself in some states, and only"
         " the noise on its actions leads out of them.",
         advice="{advice} The noise becomes smaller, and the policy learns to do without it. {otherwise}",

@@ -433,7 +433,7 @@ class Report:
         if any(log.stages for log in logs):
             mean += " Each stage of the curriculum is averaged by itself."
         diamond = (
-            " The diamond is the evaluation of the best model, at its step."
+            " A diamond is the evaluation of the best model of a seed, at its step."
             if any(log.evaluation for log in logs)
             else ""
         )

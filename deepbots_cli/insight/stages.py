@@ -446,7 +446,8 @@ def success_never_seen(evidence: TrainingEvidence) -> Numbers | None:
         )
         text = next(term.text for term in program.reward if term.name == name)
         lead = f"Make '{name}' lead around obstacles, for example with path_distance"
-        remedy = f"Make success earn more than '{name}' can" if "path_distance" in text else lead
+        leads_straight = re.search(r"\b(delta|distance)\(", text) and "path_distance" not in text
+        remedy = lead if leads_straight else f"Make success earn more than '{name}' can"
     elif terms:
         remedy = f"Compare '{terms[0]}', which leads towards success, with the other terms"
         if terms[0] in late:

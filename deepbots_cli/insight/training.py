@@ -33,6 +33,7 @@ from deepbots_cli.learning.report import longer_goal
 from deepbots_cli.learning.runs.order import measure_of
 from deepbots_cli.learning.runs.run import Run
 from deepbots_cli.learning.runs.verdict import (
+    LEARNED_RATE,
     ChangedValue,
     Decline,
     RunVerdict,
@@ -425,7 +426,7 @@ class TrainingEvidence:
         `solved`, the task is learned at a success rate of 80 %.
         """
         solved, succeeds = self.run.program.agent.solved, self.run.program.defines_success
-        required = 0.8 if solved is None else solved.success_rate or 0.0
+        required = LEARNED_RATE if solved is None else solved.success_rate or 0.0
 
         def suffices(successes: Sequence[float]) -> bool:
             """Return whether successes suffice in a scenario without `solved`."""

@@ -617,6 +617,10 @@ def _notes(
         notes.append(
             f"a group has {counted(fewest, 'run')}: train at least {MIN_SEEDS} seeds of each, better 5"
         )
+    for group in members:
+        seeds = [ref.run.record.seed for ref in group.models]
+        if len({*seeds}) < len(seeds):
+            notes.append(f"{group.name} has runs of the same seed, so its interval over seeds is too narrow")
     runs = [ref.run for group in members for ref in group.models]
     notes += [note for run in runs for note in run.notes_on_physics()]
     if len({run.record.engine for run in runs}) > 1:

@@ -248,7 +248,7 @@ def _leaves(analysis: Analysis, node: Scalar) -> set[str]:
 @rule(
     "DB805",
     "`{ending}` depends only on the time, which the policy does not observe",
-    "limit the episode under `truncation`: {limits}",
+    "observe the time, or limit the episode under `truncation` instead: {limits}",
     versions="training",
 )
 def timeout_as_termination(context: RuleContext) -> Iterator[Match]:

@@ -102,7 +102,8 @@ def reader(local: str) -> str:
 def as_written(statement: str) -> str:
     """Return a statement with names as the scenario has them: without `self.`, the prefix of terms, and the
     comment."""
-    return re.sub(rf"\bself\.({_TERM})?", "", statement.partition("  # ")[0])
+    names = re.sub(rf"\bself\.({_TERM})?", "", statement.partition("  # ")[0])
+    return re.sub(r"\bstep_count\b", "step", names)
 
 
 def names_in(line: str) -> Iterator[str]:

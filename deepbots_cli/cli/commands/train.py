@@ -488,8 +488,12 @@ def finish(result: TrainingResult, *, quiet: bool, as_json: bool, permissions: P
     """Evaluate the policy, and show the result with the next commands; of an interrupted training, only how
     far it came."""
     if result.stop_requested:
-        unfinished = {"training": result, "evaluation": None}
-        _show_training(records.training_text(result), unfinished, stopped=True, as_json=as_json)
+        _show_training(
+            records.training_text(result),
+            {"training": result, "evaluation": None},
+            stopped=True,
+            as_json=as_json,
+        )
     trained = Run.open(result.run)
     is_confirmed = result.confirmed_seed is not None  # the episodes of the confirmation are the evaluation
     cases: list[EvaluationResult] = []

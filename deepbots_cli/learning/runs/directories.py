@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
+from itertools import chain
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -353,12 +354,14 @@ def _number(name: str, stem: str) -> int:
 
 
 def run_folders(runs: Sequence[str | Path]) -> list[Path]:
-    """Return the run directories, each once. Those in a folder come in the order of their names."""
+    """Return the run directories, each once. Those in a folder, and of the groups in it, come in the order of
+    their names."""
     folders: dict[Path, None] = {}
     for path in map(Path, runs):
         is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
-        inner = sorted(file.parent for file in path.glob(f"*/{RECORD_NAME}")) if is_outer else []
-        folders |= dict.fromkeys(inner or [path])
+        outer = [path, *sorted(each for each in path.glob("*") if folder_kind(each) is SourceKind.GROUP)]
+        inner = [sorted(file.parent for file in each.glob(f"*/{RECORD_NAME}")) for each in outer]
+        folders |= dict.fromkeys(chain.from_iterable(inner) if is_outer and any(inner) else [path])
     return list(folders)
 
 

@@ -113,6 +113,10 @@ def logged_episodes_meet(solved: Solved | None, returns: Sequence[float], succes
     return solved is not None and len(returns) > 0 and solved.is_met(fmean(returns), fmean(successes))
 
 
+LEARNED_RATE = 0.8
+"""The success rate with which a task without `solved` is learned."""
+
+
 @dataclass(frozen=True)
 class RunVerdict:
     """The verdict on whether a run solves its task, by the evaluation that is quoted everywhere.
@@ -140,8 +144,11 @@ class RunVerdict:
         return self.confirmed_after if self.solved else None
 
     def is_unsolved(self, *, defines_success: bool) -> bool:
-        """Return whether the task has a criterion or defines success, and the run does not solve it."""
-        return self.solved is False or (self.solved is None and defines_success)
+        """Return whether the task has a criterion that the run does not meet; without one, whether it defines
+        success, and the run succeeds less often than `LEARNED_RATE`."""
+        if self.solved is not None or not defines_success:
+            return self.solved is False
+        return self.evaluation is None or self.evaluation.success_rate < LEARNED_RATE
 
     @property
     def text(self) -> str:

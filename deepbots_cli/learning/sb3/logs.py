@@ -149,6 +149,7 @@ class PluginLogger(KVWriter):
 
     def __init__(self, name: str, run: Path) -> None:
         self._name = name
+        run.joinpath("logs").mkdir(exist_ok=True)
         self._writer = _made("logger", name, partial(LOGGERS[name], run), KVWriter)
 
     def write(
