@@ -37,7 +37,7 @@ from deepbots_webots.scene import Robot
 from deepbots_webots.simulation import Pace, Simulation
 
 SITE = Path(__file__).parent / "site"
-"""The folder with the modules `controller` and `vehicle`."""
+"""The folder with the module `controller`."""
 MAX_STEPS_AFTER_END = 100
 """The number of steps that a controller may make after the end; a further step ends the controller."""
 CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
@@ -246,7 +246,7 @@ class Runner:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - modules_before:
                 # The next run imports the module anew: it belongs to another simulation.
-                if module.partition(".")[0] in ("controller", "vehicle"):
+                if module.partition(".")[0] == "controller":
                     del sys.modules[module]
             if main is not None:
                 sys.modules["__main__"] = main

@@ -64,8 +64,6 @@ MISSING: Mapping[str, str] = {
     "Radar": "enable disable getSamplingPeriod getMinRange getMaxRange getHorizontalFov getVerticalFov"
     " getNumberOfTargets getTargets",
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",
-    "Car": "enableIndicatorAutoDisabling enableLimitedSlipDifferential getBackwardsLights getBrakeLights"
-    " getLeftSteeringAngle getRightSteeringAngle setLeftSteeringAngle setRightSteeringAngle",
 }
 """The functions of each class that deepbots does not have."""
 

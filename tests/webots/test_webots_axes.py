@@ -243,3 +243,23 @@ def test_a_template_of_the_project_gives_way_to_an_equivalent(tmp_path):
     (tmp_path / "protos" / "arenas" / "Floor.proto").write_text(template)
     (warning,) = read("Floor { }", tmp_path).findings
     assert (warning.severity, warning.help) == ("warning", "its equivalent takes its place")
+
+
+def test_a_car_of_an_older_file_looks_along_z_with_its_sensors():
+    """Before R2022a, cars drive along z, and their slots turn a camera, which looks along -z, away from the car."""
+    slots = (f'sensorsSlot{end} [ GPS {{ name "{end}" translation 0 0 -1 }} ]' for end in ("Front", "Rear"))
+    simulation = simulate(f"BmwX5 {{ translation 0 0.4 0 {' '.join(slots)} }}")
+    front, rear = device(simulation, "Front"), device(simulation, "Rear")
+    front.enable(8)
+    rear.enable(8)
+    simulation.run_step()
+    assert front.getValues() == pytest.approx([0, 0.85, 4.85], abs=0.01)
+    assert rear.getValues() == pytest.approx([0, 0.7, -2], abs=0.01)
+
+
+def test_worlds_of_cities_load_with_plain_signs_and_buildings():
+    names = sorted(equivalents() & {"StopSign", "GenericTrafficLight", "Hotel", "Oak", "PedestrianCrossing"})
+    assert len(names) == 5
+    world = read("\n".join(f"{name} {{ size 2 7 }}" for name in names))
+    build_scene(world)
+    assert {finding.severity for finding in world.findings} == {"warning"}

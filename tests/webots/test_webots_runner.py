@@ -295,6 +295,14 @@ QUITS = "from controller import Supervisor\nboss = Supervisor()\nboss.step(32)\n
         ),
         pytest.param(
             CART,
+            "from vehicle import Driver",
+            1,
+            "",
+            "ImportError: the module 'vehicle' of Webots, with Driver and Car, is not implemented",
+            id="a module that is missing",
+        ),
+        pytest.param(
+            CART,
             "import telepathy.waves",
             1,
             "",
