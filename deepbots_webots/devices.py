@@ -376,7 +376,10 @@ class Connector(Device):
 
 
 class Pen(Device):
-    """A pen: no function of it is implemented."""
+    """A pen that draws nothing."""
+
+    def setInkColor(self, *_: Any) -> None:
+        """Do nothing."""
 
 
 class Microphone(Device):

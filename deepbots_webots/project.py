@@ -621,6 +621,6 @@ def _check_extent(node: Node, extent: Extent, level: int) -> None:
 
 
 def _empty(node: Node) -> None:
-    """Let an empty group take the place of a node that has a finding."""
-    node.type, node.interface = "Group", {}
+    """Take the type of a node that has a finding, so that it gets no further ones."""
+    node.type, node.interface = "", {}
     node.fields.clear()

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field
 from importlib.machinery import ModuleSpec
+from importlib.metadata import distributions
 from math import inf
 from pathlib import Path
 from typing import TextIO
@@ -45,6 +46,7 @@ CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 networks lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy
 machine)."""
 _PACKAGE = str(Path(__file__).parent)
+_BEFORE_1_0 = "deepbots before 1.0, such as the package deepbots==0.1.2"
 WATCH_INTERVAL_S = 0.5
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
@@ -61,6 +63,7 @@ class Controller:
     path: list[str]
     modules: dict[str, types.ModuleType]
     due: int = 0
+    begins_again: bool = False  # once it has ended
     turn: threading.Lock = field(default_factory=threading.Lock)
     thread: threading.Thread | None = None
     private: set[str] = field(default_factory=set)
@@ -124,7 +127,8 @@ class Runner:
         self.controllers: list[Controller] = []
         self._by_robot: dict[Robot, Controller] = {}
         for robot, program in programs:
-            self._add(robot, program.path)
+            if program.path is not None:
+                self._add(robot, program.path, len(self.controllers))
         self._robots = set(simulation.scene.robots)
         self.is_over = False
         self._current: Controller | None = None
@@ -135,18 +139,18 @@ class Runner:
         self._after_step, self._on_line = after_step, on_line
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
-    def _add(self, robot: Robot, program: Path | None) -> None:
-        if program is not None:
-            folder = str(program.parent)
-            controller = self._by_robot[robot] = Controller(
-                robot,
-                program,
-                texts(robot.node, "controllerArgs"),
-                folder,
-                [folder, *self._path],
-                {"__main__": types.ModuleType("__main__")},
-            )
-            self.controllers.append(controller)
+    def _add(self, robot: Robot, program: Path, place: int) -> None:
+        """Set the controller at a place in the order of the world."""
+        folder = str(program.parent)
+        controller = self._by_robot[robot] = Controller(
+            robot,
+            program,
+            texts(robot.node, "controllerArgs"),
+            folder,
+            [folder, *self._path],
+            {"__main__": types.ModuleType("__main__")},
+        )
+        self.controllers[place : place + 1] = [controller]
 
     # The main thread
 
@@ -155,10 +159,8 @@ class Runner:
         simulation = self.simulation
         if not self.controllers:
             raise UsageError("no robot of the world has a controller that can run")
-        supervisors = [controller for controller in self.controllers if controller.robot.is_supervisor]
-        self._supervisors = supervisors or self.controllers
         supervisor.activate(simulation)
-        simulation.wait = self._wait
+        simulation.wait, simulation.on_restart = self._wait, self._restart
         simulation.on_change.append(self._start_new)
         try:
             with self._surroundings():
@@ -181,14 +183,28 @@ class Runner:
 
     def _start_new(self) -> None:
         """Start the controllers of robots that came into the world."""
-        scene, count = self.simulation.scene, len(self.controllers)
+        scene = self.simulation.scene
         for robot, program in programs_of(
             scene.files, [each for each in scene.robots if each not in self._robots]
         ):
-            self._add(robot, program.path)
+            if program.path is not None:
+                self._add(robot, program.path, len(self.controllers))
+                self._start(self.controllers[-1])
         self._robots = set(scene.robots)
-        for controller in self.controllers[count:]:
-            self._start(controller)
+
+    def _restart(self, robot: Robot) -> None:
+        """Start the program of a robot again, after the end of its present step if it runs."""
+        controller = self._by_robot.get(robot)
+        if controller is None:
+            return
+        controller.begins_again, controller.due = True, self.simulation.ticks
+        if controller.has_ended:
+            self._replace(controller)
+
+    def _replace(self, controller: Controller) -> None:
+        at = self.controllers.index(controller)
+        self._add(controller.robot, controller.program, at)
+        self._start(self.controllers[at])
 
     def _watch(self) -> None:
         """Wait for the end; a controller that does not step for too long ends the run."""
@@ -269,6 +285,8 @@ class Runner:
             self._problems.append(f"the controller of '{controller.robot.name}' failed: {_described(error)}")
             self.is_over = True
         controller.has_ended = True
+        if controller.begins_again and not self.is_over:
+            self._replace(controller)
         self._end(controller)
 
     def _execute(self, controller: Controller) -> None:
@@ -280,12 +298,13 @@ class Runner:
         exec(code, vars(module))  # after --allow-code
 
     def _end(self, controller: Controller) -> None:
-        if all(other.has_ended for other in self._supervisors):
+        supervisors = [other for other in self.controllers if other.robot.is_supervisor]
+        if all(other.has_ended for other in supervisors or self.controllers):
             self.is_over = True
         if all(other.has_ended for other in self.controllers):
             self._everything_ended.set()
             return
-        if not self.is_over:
+        if not (self.is_over or controller.begins_again):
             code = f" with exit code {controller.exit_code}" if controller.exit_code else ""
             self._errors.write(f"the controller of '{controller.robot.name}' ended{code}; the others go on\n")
         self._pass_on(controller)
@@ -302,8 +321,8 @@ class Runner:
         basic = self.simulation.basic_step
         controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
         self._pass_on(controller)
-        if robot not in self._robots:
-            raise SystemExit(0)  # a supervisor removed it
+        if robot not in self._robots or controller.begins_again:
+            raise SystemExit(0)  # a supervisor removed it, or starts it again
         controller.steps += not self.is_over
         return -1 if self.is_over else 0
 
@@ -480,7 +499,9 @@ def _described(error: BaseException) -> str:
     described = f"{type(error).__name__}: {message}" if message else type(error).__name__
     name = error.name if isinstance(error, ImportError) else None
     if name is not None and name.startswith("deepbots."):
-        return f"{described}; the project is for deepbots before 1.0, such as the package deepbots==0.1.2"
+        is_old = any(each.version.startswith("0.") for each in distributions(name="deepbots"))
+        fitting = "deepbots 1.0, the package deepbots==1.0.0" if is_old else _BEFORE_1_0
+        return f"{described}; the project is for {fitting}"
     if name is not None and isinstance(error, ModuleNotFoundError):
         package = name.partition(".")[0]
         # Version 1.0 of deepbots requires gym 0.21, which cannot be built any more.

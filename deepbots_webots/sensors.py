@@ -45,7 +45,7 @@ MISSING: Mapping[str, str] = {
     " worldLoad worldReload worldSave",
     "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
     " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
-    " moveViewpoint restartController setVisibility enableContactPointsTracking"
+    " moveViewpoint setVisibility enableContactPointsTracking"
     " disableContactPointsTracking enablePoseTracking disablePoseTracking getFromProtoDef",
     "Field": "disableSFTracking enableSFTracking importSFNode importSFNodeFromString removeSF insertMFBool"
     " insertMFColor insertMFFloat insertMFInt32 insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
@@ -57,7 +57,7 @@ MISSING: Mapping[str, str] = {
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
-    "Pen": "setInkColor write",
+    "Pen": "write",
     "Microphone": "enable getSampleData getSampleSize",
     "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
     "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",

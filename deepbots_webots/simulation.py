@@ -12,6 +12,7 @@ one in each step are one step older after each reset.
 from __future__ import annotations
 
 import random
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -75,7 +76,8 @@ class Simulation:
     of some ms does; it returns -1 at the end of the simulation. `objects` are those of the devices that
     controllers asked for, and `states` those that supervisors saved, by name. `held_keys` returns the codes
     of the keys that a person holds, the newest first; it is None without a page. `reset_is_due` says that the
-    world is reset at the end of the next basic time step. `on_change` is called after nodes came or went.
+    world is reset at the end of the next basic time step. `on_change` is called after nodes came or went, and
+    `on_restart` with a robot whose controller begins again.
     """
 
     def __init__(self, scene: Scene, span: Span) -> None:
@@ -102,6 +104,8 @@ class Simulation:
         self._sensors: list[Sampled] = []
         self.reset_is_due = False
         self.on_change: list[Callable[[], None]] = []
+        self.on_restart: Callable[[Robot], None] = lambda robot: None
+        self._warnings: set[str] = set()
         self._begin(scene.robots)
 
     def _begin(self, robots: Iterable[Robot]) -> None:
@@ -116,18 +120,31 @@ class Simulation:
         before = self.scene.robots[:]
         self.physics.rebuild(change)
         now = self.scene.robots
-        devices = {device for robot in now for device in robot.devices.values()}
+        self._keep({device for robot in now for device in robot.devices.values()})
+        self._begin(robot for robot in now if robot not in before)
+        self.states.clear()
+        self.__dict__.pop("pictures", None)
+        for call in self.on_change:
+            call()
+
+    def _keep(self, devices: set[Device]) -> None:
+        """Forget the objects of all other devices, and what they measure."""
         self._sensors = [
             sensor
             for sensor in self._sensors
             if not isinstance(sensor, DeviceObject) or sensor._spec in devices
         ]
         self.objects = {device: each for device, each in self.objects.items() if device in devices}
-        self._begin(robot for robot in now if robot not in before)
-        self.states.clear()
-        self.__dict__.pop("pictures", None)
-        for call in self.on_change:
-            call()
+
+    def restart(self, robot: Robot) -> None:
+        """Let the controller of a robot begin again, with devices that are as at the start."""
+        self._keep(self.objects.keys() - robot.devices.values())
+        self.on_restart(robot)
+
+    def warn_once(self, message: str) -> None:
+        if message not in self._warnings:
+            self._warnings.add(message)
+            print(f"Warning: {message}", file=sys.stderr)
 
     # Steps
 

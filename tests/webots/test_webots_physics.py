@@ -502,6 +502,37 @@ def test_bodies_are_moved_and_keep_their_velocity():
     assert ball.getVelocity() == [0.0] * 6
 
 
+def test_numbers_that_are_missing_are_zeros_and_an_axis_of_zero_has_no_effect(capsys):
+    it = supervisor("DEF VIEW Viewpoint { } DEF MARK Solid { } Robot { supervisor TRUE }")
+    mark, view = it.getFromDef("MARK"), it.getFromDef("VIEW").getField("orientation")
+    mark.getField("translation").setSFVec3f([1, 2])
+    mark.getField("rotation").setSFRotation([0, 0, 2, 0.5])
+    mark.getField("rotation").setSFRotation([0, 0, 0, 1])
+    assert mark.getField("rotation").getSFRotation() == close(0, 0, 1, 0.5)
+    mark.getField("rotation").setSFRotation([0, 1, 0])
+    view.setSFRotation([0, 1, 0])
+    assert (mark.getPosition(), mark.getField("rotation").getSFRotation()[3]) == ([1, 2, 0], 0)
+    assert view.getSFRotation() == [0, 1, 0, 0]
+    assert capsys.readouterr().err.count("setSFRotation: the axis is zero, so the call is ignored") == 1
+
+
+def test_forces_on_a_node_without_a_body_warn_once_and_have_no_effect(capsys):
+    it = supervisor("DEF LIGHT SpotLight { } Robot { supervisor TRUE }")
+    light = it.getFromDef("LIGHT")
+    for _ in range(2):
+        light.resetPhysics()
+        light.addForceWithOffset([1, 0, 0], [0, 0, 1], True)
+        light.restartController()
+    assert capsys.readouterr().err.splitlines() == [
+        f"Warning: Node.{function} of a SpotLight, which is no {kind}, has no effect"
+        for function, kind in (
+            ("resetPhysics", "Solid"),
+            ("addForceWithOffset", "Solid"),
+            ("restartController", "Robot"),
+        )
+    ]
+
+
 def test_a_moved_obstacle_stops_rays_where_it_is():
     it = supervisor(
         "DEF WALL Solid { translation 9 0 0 boundingObject Box { } } Robot { supervisor TRUE children"

@@ -199,6 +199,46 @@ def test_the_controller_of_a_robot_comes_and_goes_with_it(project: Project):
     assert project.run().out.splitlines() == ["[late] here"] * 2 + ["[cart] the end"]
 
 
+def test_a_supervisor_restarts_controllers_also_one_that_has_ended_and_its_own(project: Project):
+    project.controller(
+        "cart",
+        """
+        import shared
+        from controller import Robot
+        robot = Robot()
+        shared.count += 1
+        print("begins", shared.count, Robot().getDevice("receiver").getSamplingPeriod())
+        robot.getDevice("receiver").enable(32)
+        robot.step(32)
+        if robot.getTime() < 0.05:
+            while robot.step(1000) != -1: pass
+        """,
+    )
+    project.write("controllers/cart/shared.py", "count = 0")
+    project.controller(
+        "boss",
+        """
+        from controller import Supervisor
+        boss = Supervisor()
+        boss.step(32)
+        print("boss")
+        cart = boss.getFromDef("CART")
+        if boss.getTime() < 0.1:
+            cart.restartController()
+            boss.step(32)
+            boss.step(128)
+            cart.restartController()
+            boss.step(32)
+            boss.getSelf().restartController()
+            boss.step(32)
+        """,
+    )
+    begins = "[cart] begins 1 0"
+    ran = project.run()
+    assert ran.out.splitlines() == [begins, "[boss] boss", begins, begins, "[boss] boss"]
+    assert ran.err.count("the controller of 'cart' ended; the others go on") == 2
+
+
 def test_two_supervisors_run_until_both_end(project: Project):
     project.write(
         "worlds/w.wbt",
@@ -332,11 +372,19 @@ def test_the_end_of_a_controller_is_reported(
     assert "deepbots_cli" not in ran.err
 
 
-def test_a_project_for_deepbots_before_1_0_says_so(project: Project):
+@pytest.mark.parametrize(
+    ("release", "words"),
+    [
+        ("1.0.0", "the project is for deepbots before 1.0, such as the package deepbots==0.1.2"),
+        ("0.1.2", "the project is for deepbots 1.0, the package deepbots==1.0.0"),
+    ],
+)
+def test_a_project_for_another_release_of_deepbots_names_it(project: Project, release: str, words: str):
+    metadata = f"Metadata-Version: 2.1\nName: deepbots\nVersion: {release}\n"
+    project.write(f"controllers/boss/deepbots-{release}.dist-info/METADATA", metadata)
     project.write("controllers/boss/deepbots/__init__.py", "")
-    project.controller("boss", "from deepbots.robots.controllers.robot_emitter_receiver_csv import Robot")
-    error = project.run(code=1).err
-    assert "the project is for deepbots before 1.0, such as the package deepbots==0.1.2" in error
+    project.controller("boss", "from deepbots.robots.controllers import Robot")
+    assert words in project.run(code=1).err
 
 
 def test_a_controller_that_ignores_the_end_is_ended(project: Project):
@@ -395,10 +443,10 @@ def test_a_file_that_is_not_a_world_is_named_with_the_worlds_beside_it(project: 
 
 
 def test_a_world_with_errors_runs_nothing(project: Project):
-    project.write("worlds/w.wbt", HEADER + WORLD + "\nRobt { }")
+    project.write("worlds/w.wbt", HEADER + WORLD + "\nSolid { children [ Shape { geometry Robt { } } ] }")
     ran = project.run(code=1)
-    assert ran.err.count("error: PROTO Robt is not available") == 1
-    assert "w.wbt:5:1" in ran.err
+    assert (ran.err.count("error: PROTO Robt is not available"), ran.err.count("error:")) == (1, 1)
+    assert "w.wbt:5:37" in ran.err
 
 
 def test_a_world_without_controllers_says_so(project: Project):
