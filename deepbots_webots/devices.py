@@ -371,10 +371,6 @@ class Speaker(Device):
     playSound = speak = stop = setEngine = setLanguage = isSoundPlaying = isSpeaking = _sound
 
 
-class Connector(Device):
-    """A connector: no function of it is implemented."""
-
-
 class Pen(Device):
     """A pen that draws nothing."""
 
@@ -382,49 +378,17 @@ class Pen(Device):
         """Do nothing."""
 
 
-class Microphone(Device):
-    """A microphone: no function of it is implemented."""
+def _stubs(base: Any, *names: str) -> list[Any]:
+    """Return classes of which no function is implemented."""
+    return [type(base)(name, (base,), {"__module__": __name__}) for name in names]
 
 
-class VacuumGripper(Device):
-    """A vacuum gripper: no function of it is implemented."""
-
-
-class Skin(Device):
-    """A skin: no function of it is implemented."""
-
-
-class Radio(Device):
-    """A radio: no function of it is implemented."""
-
-
-class Radar(Device):
-    """A radar: no function of it is implemented."""
-
-
-class Joystick(Unimplemented):
-    """A joystick."""
-
-
-class Motion(Unimplemented):
-    """A file with motions of joints."""
-
-
-class Mouse(Unimplemented):
-    """The mouse of a person."""
-
-
-class MouseState(Unimplemented):
-    """Where the mouse of a person is."""
-
-
-class RadarTarget(Unimplemented):
-    """A solid that a radar sees."""
-
-
-class Proto(Unimplemented):
-    """The definition of a PROTO node."""
-
+Connector, Microphone, VacuumGripper, Skin, Radio, Radar = _stubs(
+    Device, "Connector", "Microphone", "VacuumGripper", "Skin", "Radio", "Radar"
+)
+Joystick, Motion, Mouse, MouseState, RadarTarget, Proto = _stubs(
+    Unimplemented, "Joystick", "Motion", "Mouse", "MouseState", "RadarTarget", "Proto"
+)
 
 _CLASSES: dict[str, type[Device]] = {
     "RotationalMotor": Motor,

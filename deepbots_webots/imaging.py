@@ -97,7 +97,6 @@ class Camera(_Optics):
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
         self._picture: NDArray[np.uint8] | None = None
-        self._zoom = child(spec.node, "zoom")
         self._recognition = _Recognition(simulation, spec, self)
 
     def sample(self) -> None:
@@ -154,20 +153,6 @@ class Camera(_Optics):
     getRecognitionObjects = returns_list("_recognition.objects")
 
     getRecognitionNumberOfObjects = returns_count("_recognition.objects")
-
-    def getMinFov(self) -> float:
-        return self._fov if self._zoom is None else number(self._zoom, "minFieldOfView")
-
-    def getMaxFov(self) -> float:
-        return self._fov if self._zoom is None else number(self._zoom, "maxFieldOfView")
-
-    def setFov(self, f: float) -> None:
-        """Set the field of view (rad) of a camera with a Zoom node."""
-        low, high = self.getMinFov(), self.getMaxFov()
-        if self._zoom is None or not low <= f <= high:
-            self._warn(f"setFov({f:g}) has no effect: the camera has no Zoom node that allows it")
-            return
-        self._fov = float(f)
 
 
 @dataclass(frozen=True)
@@ -468,12 +453,6 @@ class Lidar(_HasRange):
     getVerticalFov = returns("_high")
 
     getFrequency = returns("_frequency")
-
-    def setFrequency(self, frequency: float) -> None:
-        low, high = self.getMinFrequency(), self.getMaxFrequency()
-        if not low <= frequency <= high:
-            self._warn(f"the frequency {frequency:g} Hz is outside {low:g} .. {high:g}, and is limited")
-        self._frequency = min(max(float(frequency), low), high)
 
     getMinFrequency = returns_number("minFrequency")
     getMaxFrequency = returns_number("maxFrequency")

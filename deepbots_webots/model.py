@@ -63,7 +63,6 @@ class ModelBuilder:
             self._add_body(body)
         self._add_exclusions()
         self._add_pairs()
-        self._add_loops()
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
@@ -173,18 +172,6 @@ class ModelBuilder:
             solref=[self.contact_time, 1.0],
             solimp=CONTACT_IMPEDANCE,
         )
-
-    def _add_loops(self) -> None:
-        for loop in self.scene.loops:
-            self.spec.add_equality(
-                type=mj.mjtEq.mjEQ_WELD,
-                objtype=mj.mjtObj.mjOBJ_BODY,
-                name1=f"b{loop.end.index}",
-                name2="world" if loop.other is None else f"b{loop.other.index}",
-                data=[*[0.0] * 10, 1.0, 0.0],  # in their pose at the start; torques count as forces at 1 m
-                solref=[self.contact_time, 1.0],
-                solimp=MOTOR_IMPEDANCE,  # that of contacts lets a rod of 1 m sag by 2 mm
-            )
 
 
 def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bool = False) -> dict[str, Any]:

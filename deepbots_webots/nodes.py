@@ -193,7 +193,7 @@ _SLOTS: Mapping[str, tuple[str, ...]] = {
     "device": ("Motor", "PositionSensor", "Brake"),
     "device2": ("Motor", "PositionSensor", "Brake"),
     "device3": ("Motor", "PositionSensor", "Brake"),
-    "endPoint": ("Solid", "SolidReference", "Slot", "Group"),
+    "endPoint": ("Solid", "SolidReference", "Slot"),
     "fastHelix": ("Solid",),
     "slowHelix": ("Solid",),
     "geometry": _GEOMETRIES,

@@ -105,7 +105,6 @@ class Runner:
         errors: TextIO | None = None,
         pace: Pace | None = None,
         after_step: Sequence[Callable[[], None]] = (),
-        on_line: Callable[[str, str], None] | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -119,7 +118,6 @@ class Runner:
             errors: Where errors of controllers go, by default `sys.stderr`.
             pace: When the world may advance; by default, as fast as it can.
             after_step: Called after each basic time step.
-            on_line: Called with the name of a robot and each line that its controller prints.
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
@@ -136,7 +134,7 @@ class Runner:
         self._progress = 0
         self._problems: list[str] = []
         self._pace = pace or Pace(simulation, is_fast=True)
-        self._after_step, self._on_line = after_step, on_line
+        self._after_step = after_step
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
     def _add(self, robot: Robot, program: Path, place: int) -> None:
@@ -240,7 +238,7 @@ class Runner:
         # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, self)
         targets = (self._output, self._errors)
-        streams = tuple(_Prefixed(target, self._speaker, self._on_line) for target in targets)
+        streams = tuple(_Prefixed(target, self._speaker) for target in targets)
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
@@ -346,7 +344,7 @@ class Runner:
                 if controller.due <= simulation.ticks:
                     return controller
             at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
-            if at_limit or simulation.quit_status is not None or self._pace.wants_restart:
+            if at_limit or simulation.quit_status is not None:
                 self.is_over = True
             else:
                 self._advance()
@@ -421,15 +419,9 @@ class _Prefixed:
 
     encoding, errors = "utf-8", "replace"
 
-    def __init__(
-        self,
-        stream: TextIO,
-        speaker: Callable[[], str],
-        on_line: Callable[[str, str], None] | None = None,
-    ) -> None:
-        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each
-        line."""
-        self._stream, self._speaker, self._on_line = stream, speaker, on_line
+    def __init__(self, stream: TextIO, speaker: Callable[[], str]) -> None:
+        """Create the stream; `speaker` returns the name of the robot."""
+        self._stream, self._speaker = stream, speaker
         self._unfinished: dict[str, str] = {}
 
     def write(self, text: str) -> int:
@@ -444,9 +436,6 @@ class _Prefixed:
     def _write(self, name: str, lines: Sequence[str]) -> None:
         # Whole lines in one call, so that lines of several controllers do not mix.
         self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
-        if self._on_line is not None:
-            for line in lines:
-                self._on_line(name, line)
 
     def writelines(self, lines: Sequence[str]) -> None:
         for line in lines:

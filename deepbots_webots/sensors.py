@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import nan
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
 from deepbots_cli.diagnostics.nearest import nearest_word
@@ -50,11 +50,13 @@ MISSING: Mapping[str, str] = {
     "Field": "disableSFTracking enableSFTracking importSFNode importSFNodeFromString removeSF insertMFBool"
     " insertMFColor insertMFFloat insertMFInt32 insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
-    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
+    "Camera": "setFov getMinFov getMaxFov"
+    " getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
     " setExposure setFocalDistance getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
     "  hasRecognitionSegmentation isRecognitionSegmentationEnabled"
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
+    "Lidar": "setFrequency",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
     "Pen": "write",
@@ -490,16 +492,6 @@ SUN_DISTANCE_M = 1000.0
 """The distance of a DirectionalLight in the search for obstacles, m."""
 
 
-class _Beam(NamedTuple):
-    """The light of one source at a position: the direction to the source, its distance (m), and the shares of
-    its intensity that remain after the attenuation by distance and in the cone of a SpotLight."""
-
-    direction: Triple
-    distance: float
-    attenuation: float
-    spot: float
-
-
 class LightSensor(ScalarSensor, HasLookupTable):
     """The response of a lookup table to the irradiance, W/m^2."""
 
@@ -513,18 +505,16 @@ class LightSensor(ScalarSensor, HasLookupTable):
         normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
         total = 0.0
         for light in self._simulation.scene.lights:
-            if not boolean(light.node, "on"):
+            if not boolean(light.node, "on") or light.node.type == "SpotLight":
                 continue
             frame = light.frame if light.body is None else physics.frame(light.body, light.frame)
-            beam = _beam(light.node, frame, position)
-            direct = (
-                number(light.node, "intensity") * max(0.0, frames.dot(normal, beam.direction)) * beam.spot
-            )
+            direction, distance, attenuation = _beam(light.node, frame, position)
+            direct = number(light.node, "intensity") * max(0.0, frames.dot(normal, direction))
             if direct and boolean(node, "occlusion"):
-                hits = physics.cast(position, [beam.direction], beam.distance, self._spec.body.robot)
+                hits = physics.cast(position, [direction], distance, self._spec.body.robot)
                 direct *= hits[0][1] < 0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
-            total += beam.attenuation * (_ambient(light.node) + direct) * color
+            total += attenuation * (_ambient(light.node) + direct) * color
         return total
 
 
@@ -534,32 +524,18 @@ def _ambient(light: Node) -> float:
     return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
-def _beam(node: Node, frame: Frame, position: Triple) -> _Beam:
-    """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
+def _beam(node: Node, frame: Frame, position: Triple) -> tuple[Triple, float, float]:
+    """Return the direction to a source and its distance from a position, m; and the share of its intensity that
+    arrives there, 1 / (a + b d + c d^2)."""
     if node.type == "DirectionalLight":
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
-        return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)
+        return frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0
     source = compose(frame, (vector(node, "location"), IDENTITY_ROTATION))[0]
     offset = frames.subtract(source, position)
     distance = math.hypot(*offset)
     constant, linear, square = vector(node, "attenuation")
     weakened = constant + linear * distance + square * distance**2
-    direction = _unit(offset)
-    spot = 1.0
-    if node.type == "SpotLight":
-        axis = frames.rotate(frame[1], _unit(vector(node, "direction")))
-        # The product of unit vectors may round beyond 1.
-        spot = _spot_share(node, math.acos(max(-1.0, min(1.0, -frames.dot(axis, direction)))))
-    return _Beam(direction, distance, 1 / weakened if weakened > 0 else 0.0, spot)
-
-
-def _spot_share(node: Node, angle: float) -> float:
-    """Return the share of a SpotLight at an angle (rad) to its axis: 1 within `beamWidth`, 0 beyond
-    `cutOffAngle`, and a straight line between them."""
-    width, edge = number(node, "beamWidth"), number(node, "cutOffAngle")
-    if angle > edge:
-        return 0.0
-    return 1.0 if angle <= width else (edge - angle) / (edge - width)
+    return _unit(offset), distance, 1 / weakened if weakened > 0 else 0.0
 
 
 def _unit(values: Triple) -> Triple:

@@ -225,8 +225,7 @@ MAX_DELAY_S = 0.1
 class Pace:
     """The pace of a world. Any thread may change it while the world waits.
 
-    `on_pause` is called in the thread of the world before it stands still. `wants_restart` says that the run
-    is to end, and to start again.
+    `on_pause` is called in the thread of the world before it stands still.
     """
 
     def __init__(self, simulation: Simulation, *, is_fast: bool) -> None:
@@ -235,7 +234,6 @@ class Pace:
         self._changed = threading.Condition()
         self._single_steps = 0
         self.on_pause: Callable[[], None] = lambda: None
-        self.wants_restart = False
         self.run(is_fast=is_fast)
 
     def run(self, *, is_fast: bool) -> None:
@@ -255,12 +253,6 @@ class Pace:
             self._single_steps += 1
             self._changed.notify_all()
 
-    def restart(self) -> None:
-        """Ask for the end of the run, and a new one."""
-        with self._changed:
-            self.wants_restart = True
-            self._changed.notify_all()
-
     def wait(self) -> bool:
         """Wait until the next basic time step may begin; returns whether the world was paused."""
         if self.is_paused:
@@ -276,4 +268,4 @@ class Pace:
         return False
 
     def _may_go_on(self) -> bool:
-        return self._single_steps > 0 or not self.is_paused or self.wants_restart
+        return self._single_steps > 0 or not self.is_paused

@@ -491,7 +491,7 @@ class Field:
         self._owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
 
 
-_JOINT_POSITIONS = ("position", "position2", "position3")
+_JOINT_POSITIONS = ("position", "position2")
 """The fields of a joint with the positions of its axes."""
 _FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
 _MOTORS = frozenset({"RotationalMotor", "LinearMotor"})

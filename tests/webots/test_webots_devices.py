@@ -581,7 +581,6 @@ def irradiance(lights: str, fields: str = "") -> float:
 
 DIRECTED = "DirectionalLight { direction %s intensity 30 %s }"
 POINT = "PointLight { attenuation 0.5 0.2 0.1 location 3 4 0 intensity 100 }"
-SPOT = """SpotLight { location 2 0 0 direction %r %r 0 beamWidth 0.3 cutOffAngle 0.4 intensity 50 }"""
 SHADED = (
     DIRECTED % ("-1 0 0", "ambientIntensity 0.5")
     + "Solid { translation 1 0 0 boundingObject Box { size 0.1 1 1 } }"
@@ -607,10 +606,6 @@ SHADED = (
             "",
             8 / 2.0**2,
             id="no ambient part with an attenuation",
-        ),
-        *(
-            pytest.param(SPOT % (-math.cos(angle), math.sin(angle)), "", 50 * share, id=f"spot at {angle}")
-            for angle, share in ((0.2, 1.0), (0.35, 0.5), (0.45, 0.0))
         ),
         pytest.param(SHADED, "", 30.5, id="a wall without occlusion"),
         pytest.param(SHADED, "occlusion TRUE", 0.5, id="a wall"),
@@ -646,18 +641,6 @@ def test_a_rotating_lidar_measures_what_it_passes():
     image = lidar.getRangeImage()
     assert image[15] == pytest.approx(1 / math.cos(11 * angle), rel=1e-3)
     assert (image[20:30], image[39]) == ([math.inf] * 10, pytest.approx(image[0]))
-
-
-def test_the_frequency_of_a_lidar_is_limited(capsys):
-    simulation = simulate(ROOM + LIDAR, step=8)
-    lidar = device(simulation, "lidar")
-    lidar.setFrequency(12.5)
-    lidar.enable(40)
-    run(simulation, 0.04)
-    assert [value > 0 for value in lidar.getRangeImage()] == [True] * 20 + [False] * 20
-    lidar.setFrequency(60)
-    assert lidar.getFrequency() == lidar.getMaxFrequency() == 50
-    assert "outside 1 .. 50" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("projection", ['projection "planar"', "spherical FALSE"])
@@ -726,56 +709,3 @@ def test_a_recognized_object_has_its_place_in_space_and_in_the_picture():
 )
 def test_a_camera_recognizes_what_its_fields_allow(world: str, fields: str, models: list[str]):
     assert [each.model for each in recognized(world, fields)] == models
-
-
-# Ball joints
-
-BALL = """DEF ROBOT Robot { children [ DEF JOINT BallJoint {
-  jointParameters DEF FIRST BallJointParameters { %s }
-  device [ RotationalMotor { name "one" maxTorque 100 } PositionSensor { name "angle one" } ]
-  device2 [ RotationalMotor { name "two" maxTorque 100 } PositionSensor { name "angle two" } ]
-  device3 [ RotationalMotor { name "three" maxTorque 100 } PositionSensor { name "angle three" } ]
-  endPoint DEF END Solid { boundingObject Box { size 0.2 0.3 0.4 } physics Physics { density -1 mass 1 } }
-} ] }"""
-
-
-def world_after_turns(angles: dict[str, float], parameters: str = ""):
-    """Return the world after its motors reached positions, about x, y and z in turn."""
-    simulation = simulate(BALL % parameters, gravity=0)
-    for name, angle in angles.items():
-        device(simulation, name).setPosition(angle)
-        device(simulation, f"angle {name}").enable(8)
-    run(simulation, 1.2)
-    return simulation
-
-
-def test_three_motors_turn_a_ball_joint_about_its_axes_in_turn():
-    a, b, c = 0.5, 0.3, -0.7
-    simulation = world_after_turns({"one": a, "two": b, "three": c})
-    readings = [device(simulation, f"angle {name}").getValue() for name in ("one", "two", "three")]
-    assert readings == pytest.approx([a, b, c], abs=1e-3)
-    matrix = node(simulation, "END").getOrientation()
-    # Rx(a) Ry(b) Rz(c): its last column is (sin b, -sin a cos b, cos a cos b), its first row begins so.
-    assert matrix[2::3] == pytest.approx(
-        [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)], abs=2e-3
-    )
-    assert matrix[:2] == pytest.approx([math.cos(b) * math.cos(c), -math.cos(b) * math.sin(c)], abs=2e-3)
-
-
-def test_the_stop_of_a_ball_joint_stops_its_first_axis():
-    simulation = world_after_turns({}, "minStop -0.4 maxStop 0.4")
-    motor = device(simulation, "one")
-    motor.setAvailableTorque(1)
-    motor.setPosition(0.9)
-    device(simulation, "angle one").enable(8)
-    run(simulation, 1)
-    assert device(simulation, "angle one").getValue() == pytest.approx(0.4, abs=0.02)
-    assert motor.getPositionSensor() is device(simulation, "angle one")
-
-
-def test_a_supervisor_reads_and_sets_the_positions_of_a_ball_joint():
-    simulation = world_after_turns({})
-    joint = node(simulation, "JOINT")
-    joint.setJointPosition(0.2, 3)
-    assert joint.getField("position3").getSFFloat() == pytest.approx(0.2)
-    assert joint.getField("position2").getSFFloat() == pytest.approx(0.0)
