@@ -9,7 +9,6 @@ import webbrowser
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from string import digits
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
 
 _MAX_NAMED = 5
 """The maximum number of worlds that a message names."""
-_MAX_DIGITS = 6
-"""The digits of a number in a range of names."""
 
 
 def command(
@@ -249,29 +246,15 @@ def _show_robots(scene: Scene, programs: Sequence[tuple[Robot, Program]], *, as_
         }
         for robot in scene.robots
     ]
-    shown = [row | {"devices": _short(robot.devices)} for row, robot in zip(rows, scene.robots, strict=True)]
     note = "add --allow-code to run these controllers, if you trust the project"
     if not rows:
         note = "the world has no robots, so that no controller would run"
-    terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
+    terminal.show(rows, table(rows, is_prose=True), *([note] if not as_json else []), as_json=as_json)
 
 
 def _controller(robot: Robot, path: Path | None) -> str:
     """Return the name of a controller; the file of one that has another name."""
     return robot.controller if path is None or path.stem == robot.controller else path.name
-
-
-def _short(names: Iterable[str]) -> str:
-    """Return names as a text, of which consecutive ones such as `ps0`, `ps1` and `ps2` are `ps0 .. ps2`."""
-    stems: dict[str, list[str]] = {}
-    for name in names:
-        stems.setdefault(name.rstrip(digits), []).append(name)
-    entries = []
-    for stem, each in stems.items():
-        first = int(each[0].removeprefix(stem)[:_MAX_DIGITS] or 0)
-        is_range = len(each) > 2 and each == [f"{stem}{first + at}" for at in range(len(each))]
-        entries += [f"{each[0]} .. {each[-1]}"] if is_range else each
-    return ", ".join(entries)
 
 
 def _leave(code: int) -> NoReturn:

@@ -11,7 +11,7 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field, replace
 from math import hypot
 from typing import Literal, NamedTuple
@@ -432,17 +432,16 @@ class _Builder:
             self._add_children(node, site.inside(node))
         elif node.type.endswith("Joint"):
             self._add_joint(node, site)
-        elif node.type in _ADDERS:
-            _ADDERS[node.type](self, node, site)
+        elif node.type == "Slot":
+            self._add_children(node, site, "endPoint")
+        elif node.type == "Shape":
+            self._add_visual(node, site)
+        elif node.type == "Propeller":
+            self._add_propeller(node, site)
         elif is_a(node, "Light"):
             self.scene.lights.append(Visual(node, site.body, site.frame, site.scale))
         elif node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
-
-    def _add_slot(self, node: Node, site: _Site) -> None:
-        for inner in children(node, "endPoint"):
-            self._link(inner, node)
-            self.add(inner, site)
 
     def _add_visual(self, node: Node, site: _Site) -> None:
         geometry = child(node, "geometry")
@@ -450,8 +449,8 @@ class _Builder:
         frame, scale = _turned(site.frame, site.scale, turn)
         self.scene.visuals.append(Visual(node, site.body, frame, scale))
 
-    def _add_children(self, node: Node, site: _Site) -> None:
-        for inner in children(node):
+    def _add_children(self, node: Node, site: _Site, field: str = "children") -> None:
+        for inner in children(node, field):
             self._link(inner, node)
             self.add(inner, site)
 
@@ -687,13 +686,6 @@ class _Builder:
             )
             return
         robot.devices[name] = Device(node, node.type, name, body, frame, joint)
-
-
-_ADDERS: Mapping[str, Callable[[_Builder, Node, _Site], None]] = {
-    "Slot": _Builder._add_slot,
-    "Shape": _Builder._add_visual,
-    "Propeller": _Builder._add_propeller,
-}
 
 
 def _damping(node: Node, field: str) -> tuple[float, float] | None:

@@ -17,7 +17,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
 from deepbots_webots.scene import AXES, NORTH, UP
@@ -83,9 +83,7 @@ def missing_attribute(owner: type, name: str) -> AttributeError:
         if name in MISSING.get(base.__name__, "").split():
             return NotImplementedCallError(f"{base.__name__}.{name} is not implemented")
     public = [word for base in owner.__mro__ for word in vars(base) if not word.startswith("_")]
-    near = nearest_word(name, public)
-    hint = f"; did you mean '{near}'?" if near else ""
-    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{hint}")
+    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{did_you_mean(name, public)}")
 
 
 # What devices share

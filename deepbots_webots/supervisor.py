@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_webots.devices import device_object
 from deepbots_webots.nodes import text, texts, walk
 from deepbots_webots.scene import DEVICES
@@ -95,8 +95,7 @@ class Robot:
         spec = self._webots_robot.devices.get(name)
         if spec is not None:
             return device_object(self._webots_simulation, spec)
-        near = nearest_word(name, self._webots_robot.devices)
-        hint = f"; did you mean '{near}'?" if near else ""
+        hint = did_you_mean(name, self._webots_robot.devices)
         print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
         return None
 

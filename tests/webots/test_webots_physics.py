@@ -766,7 +766,7 @@ def test_the_error_of_a_missing_function_names_it(call, message: str):
 def test_a_missing_device_is_none_with_a_warning(capsys):
     it = supervisor("Robot { supervisor TRUE children [ GPS { } ] }")
     assert it.getDevice("gsp") is None
-    assert "Warning: \"gsp\" device not found; did you mean 'gps'?" in capsys.readouterr().err
+    assert 'Warning: "gsp" device not found (did you mean gps?)' in capsys.readouterr().err
     assert it.getGPS("gps") is it.getDevice("gps")
 
 

@@ -269,9 +269,7 @@ def test_the_devices_of_a_large_robot_fit_the_page(project: Project):
     project.controller("cart", CART)
     ran = project.run(allow=False)
     assert max(map(len, ran.out.splitlines())) <= 100
-    assert "ps0 .. ps7, ls0 .. ls7, led0 .. led9, camera" in " ".join(ran.out.split())
-    (row,) = json.loads(project.run("--json", allow=False).out)
-    assert "ps3, ls3, ps4" in row["devices"]
+    assert "ps3, ls3, ps4" in " ".join(ran.out.split())
 
 
 def test_controllers_have_their_own_modules_folders_and_arguments(project: Project):
@@ -516,7 +514,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         "0.0 3 1 None -1",
         "3 0 boss",
         "NotImplementedCallError Robot.setMode is not implemented",
-        "AttributeError 'Emitter' has no attribute 'sned'; did you mean 'send'?",
+        "AttributeError 'Emitter' has no attribute 'sned' (did you mean send?)",
         "NotImplementedCallError Field.setSFFloat of Robot.translation is not implemented",
     ]
 
