@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -33,6 +34,8 @@ class Project:
         self.folder, self._deepbots = folder, deepbots
         self.words = ["webots", str(folder / "worlds" / "w.wbt"), "--allow-code"]
         self.write("worlds/w.wbt", HEADER + WORLD)
+        self.controller("cart", CART)
+        self.controller("boss", BOSS)
 
     def write(self, name: str, text: str) -> None:
         path = self.folder / name
@@ -129,8 +132,9 @@ def test_controllers_take_turns(project: Project, cart: str, boss: str, lines: l
 
 
 def test_a_controller_in_another_language_is_named_and_not_run(project: Project):
-    project.write("controllers/cart/cart.cpp", "int main() {}")
-    project.controller("boss", BOSS)
+    (project.folder / "controllers" / "cart" / "cart.py").rename(
+        project.folder / "controllers" / "cart" / "cart.cpp"
+    )
     ran = project.run()
     assert "the controller 'cart' of 'cart' is written in C++; deepbots runs Python" in ran.err
     assert "[boss] 3 []" in ran.out
@@ -157,7 +161,7 @@ def test_a_controller_that_is_started_by_hand_is_found(
 ):
     monkeypatch.chdir(project.folder)
     project.write("worlds/w.wbt", HEADER + EXTERN)
-    project.controller("boss", BOSS)
+    shutil.rmtree(project.folder / "controllers" / "cart")
     for name in files:
         project.write(name, CART)
     ran = project.run(*(["--controller", option] if option else []), allow=False)
@@ -168,7 +172,6 @@ def test_a_controller_that_is_started_by_hand_is_found(
 
 
 def test_a_handler_of_a_signal_warns_and_the_controller_goes_on(project: Project):
-    project.controller("cart", CART)
     handler = "import signal, sys\nsignal.signal(signal.SIGINT, lambda *_: sys.exit(0))\n"
     project.controller("boss", handler + textwrap.dedent(BOSS))
     ran = project.run()
@@ -183,7 +186,6 @@ def test_the_controller_of_a_robot_comes_and_goes_with_it(project: Project):
     project.write(
         "controllers/boss/late.wbo", '#VRML_OBJ R2023b utf8\nDEF LATE Robot { name "late" controller "late" }'
     )
-    project.controller("cart", CART)
     project.controller(
         "boss",
         """
@@ -248,7 +250,6 @@ def test_two_supervisors_run_until_both_end(project: Project):
         "cart",
         "from controller import Supervisor\nit = Supervisor()\nfor _ in range(9): it.step(32)\nprint(it.getTime())",
     )
-    project.controller("boss", BOSS)
     assert project.run().out.splitlines()[-1] == "[cart] 0.288"
 
 
@@ -266,7 +267,6 @@ def test_no_code_runs_without_permission(project: Project):
 
 def test_the_devices_of_a_large_robot_fit_the_page(project: Project):
     project.write("worlds/w.wbt", f'{HEADER}WorldInfo {{ }} E-puck {{ controller "cart" }}')
-    project.controller("cart", CART)
     ran = project.run(allow=False)
     assert max(map(len, ran.out.splitlines())) <= 100
     assert "ps3, ls3, ps4" in " ".join(ran.out.split())
@@ -386,7 +386,6 @@ def test_a_project_for_another_release_of_deepbots_names_it(project: Project, re
 
 
 def test_a_controller_that_ignores_the_end_is_ended(project: Project):
-    project.controller("cart", CART)
     project.controller(
         "boss", "from controller import Supervisor\nboss = Supervisor()\nwhile True: boss.step(32)"
     )
@@ -408,8 +407,6 @@ def test_a_controller_that_ignores_the_end_is_ended(project: Project):
     ],
 )
 def test_wrong_options_are_refused(project: Project, options: list[str], words: str):
-    project.controller("cart", CART)
-    project.controller("boss", BOSS)
     ran = project.run(*options, code=2)
     assert ran.out == ""
     assert words in " ".join(ran.err.split())
@@ -423,7 +420,6 @@ def test_an_option_of_a_run_needs_permission(project: Project):
 @pytest.mark.slow
 def test_a_controller_that_never_steps_ends_the_run(project: Project):
     project.controller("cart", "while True: pass")
-    project.controller("boss", BOSS)
     process = project.start("--timeout", "1")
     assert "error: the controller of 'cart' made no step for 1 s" in process.communicate(timeout=60)[1]
     assert process.returncode == 1
@@ -447,20 +443,15 @@ def test_a_world_with_errors_runs_nothing(project: Project):
     assert "w.wbt:5:37" in ran.err
 
 
-def test_a_world_without_controllers_says_so(project: Project):
-    project.write("worlds/w.wbt", HEADER + "Solid { }")
-    assert "no robot of the world has a controller that can run" in project.run(code=2).err
-
-
 def test_a_world_without_robots_says_so(project: Project):
     project.write("worlds/w.wbt", HEADER + "Solid { }")
+    assert "no robot of the world has a controller that can run" in project.run(code=2).err
     assert "the world has no robots" in project.run(allow=False).out
     ran = project.run("--controller", f"cart={__file__}", code=2)
     assert "--controller cart=...: the world has no robots" in ran.err
 
 
 def test_the_packages_of_another_environment_are_found(project: Project):
-    project.controller("cart", CART)
     project.controller("boss", "from controller import Supervisor\nSupervisor()\nimport json\nprint('ok')")
     assert project.run("--python", sys.executable).out.splitlines()[0] == "[boss] ok"
 
@@ -473,7 +464,6 @@ def test_a_controller_uses_the_whole_interface(project: Project):
             'controller "cart" children [', 'controller "cart" children [ GPS { } Lidar { numberOfLayers 1 } '
         ),
     )
-    project.controller("cart", CART)
     project.controller(
         "boss",
         """
