@@ -12,7 +12,7 @@ simulation.py  time, messages and sampling: what a controller's step does; the p
 rendering.py   pictures that cameras take, and a video from the viewpoint of the world
 sensors.py     what devices share, missing functions; sensors of motion, light and the surroundings
 imaging.py     cameras, range finders and lidars
-devices.py     motors, brakes, position sensors, emitters, receivers; the class of each device
+devices.py     motors, position sensors, emitters, receivers; the class of each device
 tree.py        the classes Node and Field
 supervisor.py  the classes Robot, Supervisor and Keyboard
 runner.py      controllers as threads of one process, one at a time

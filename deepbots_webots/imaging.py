@@ -22,8 +22,6 @@ from deepbots_webots.sensors import (
     NotImplementedCallError,
     Sensor,
     returns,
-    returns_count,
-    returns_list,
     returns_number,
 )
 from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose, inverse, visible_shape
@@ -150,9 +148,9 @@ class Camera(_Optics):
         self._recognition.disable()
 
     getRecognitionSamplingPeriod = returns("_recognition._asked")
-    getRecognitionObjects = returns_list("_recognition.objects")
+    getRecognitionObjects = returns("_recognition.objects", list)
 
-    getRecognitionNumberOfObjects = returns_count("_recognition.objects")
+    getRecognitionNumberOfObjects = returns("_recognition.objects", len)
 
 
 @dataclass(frozen=True)
@@ -417,7 +415,7 @@ class Lidar(_HasRange):
             self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
             self._times[columns[at]] = now
 
-    getRangeImage = returns_list("_image")
+    getRangeImage = returns("_image", list)
 
     def getLayerRangeImage(self, layer: int) -> list[float]:
         return self._image[layer * self._columns : (layer + 1) * self._columns]
@@ -446,7 +444,7 @@ class Lidar(_HasRange):
             for distance, (x, y, z), time in points
         ]
 
-    getNumberOfPoints = returns_count("_image")
+    getNumberOfPoints = returns("_image", len)
     getHorizontalResolution = returns("_columns")
     getNumberOfLayers = returns("_layers")
     getFov = returns("_fov")

@@ -24,6 +24,7 @@ from contextlib import contextmanager
 from dataclasses import field
 from importlib.machinery import ModuleSpec
 from importlib.metadata import distributions
+from io import TextIOBase
 from math import inf
 from pathlib import Path
 from typing import TextIO
@@ -248,7 +249,7 @@ class Runner:
             yield
         finally:
             for stream in streams:
-                stream.close()
+                stream.end()
             signal.signal = register
             sys.meta_path.remove(self)
             sys.path[:], sys.argv = path, argv
@@ -414,7 +415,7 @@ def _ignore_signal(number: int, _: object) -> object:
     return signal.getsignal(number)
 
 
-class _Prefixed:
+class _Prefixed(TextIOBase):
     """A stream that begins each line with the name of the robot whose controller prints."""
 
     encoding, errors = "utf-8", "replace"
@@ -437,22 +438,15 @@ class _Prefixed:
         # Whole lines in one call, so that lines of several controllers do not mix.
         self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
 
-    def writelines(self, lines: Sequence[str]) -> None:
-        for line in lines:
-            self.write(line)
-
     def flush(self) -> None:
         self._stream.flush()
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Write lines that have no end yet."""
         for name, unfinished_line in self._unfinished.items():
             self._write(name, [unfinished_line])
         self._unfinished.clear()
         self._stream.flush()
-
-    def isatty(self) -> bool:
-        return False
 
     def writable(self) -> bool:
         return True

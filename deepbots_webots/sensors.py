@@ -57,6 +57,10 @@ MISSING: Mapping[str, str] = {
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
     "Lidar": "setFrequency",
+    "Motor": "getBrake",
+    "PositionSensor": "getBrake",
+    "Brake": "setDampingConstant getMotor getPositionSensor getType",
+    "Altimeter": "enable disable getSamplingPeriod getValue",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
     "Pen": "write",
@@ -89,32 +93,16 @@ def missing_attribute(owner: type, name: str) -> AttributeError:
 # What devices share
 
 
-def returns(attribute: str) -> Callable[[Any], Any]:
-    """Return a method that returns an attribute of its object, such as `_state.acceleration`."""
+def returns(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callable[[Any], Any]:
+    """Return a method that returns an attribute of its object, such as `_state.acceleration`, as a `list` or
+    by its number of items, `len`."""
     read = attrgetter(attribute)
-    return lambda instance: read(instance)
+    return lambda instance: convert(read(instance))
 
 
-def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
-    """Return a method that returns a list of the items of an attribute."""
-    read = attrgetter(attribute)
-    return lambda instance: list(read(instance))
-
-
-def returns_count(attribute: str) -> Callable[[Any], int]:
-    """Return a method that returns the number of items of an attribute."""
-    read = attrgetter(attribute)
-    return lambda instance: len(read(instance))
-
-
-def returns_integer(field: str) -> Callable[[Any], int]:
-    """Return a method of a device that returns a whole number of its node."""
-    return lambda device: integer(device._spec.node, field)
-
-
-def returns_number(field: str) -> Callable[[Any], float]:
-    """Return a method of a device that returns a number of its node."""
-    return lambda device: number(device._spec.node, field)
+def returns_number(field: str, convert: Callable[[float], float] = float) -> Callable[[Any], float]:
+    """Return a method of a device that returns a number of its node, a whole one with `int`."""
+    return lambda device: convert(number(device._spec.node, field))
 
 
 class _NamedDevices(ABCMeta):
@@ -244,7 +232,7 @@ class VectorSensor(HasLookupTable):
         super().renew()
         self._axes = tuple(boolean(self._spec.node, f"{axis}Axis") for axis in "xyz")
 
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     @abstractmethod
     def _measure(self) -> Triple:
@@ -323,8 +311,8 @@ class InertialUnit(Sensor):
 
     _angles: Triple = (nan, nan, nan)
     _turned: Quaternion = (nan, nan, nan, nan)
-    getRollPitchYaw = returns_list("_angles")
-    getQuaternion = returns_list("_turned")
+    getRollPitchYaw = returns("_angles", list)
+    getQuaternion = returns("_turned", list)
     getNoise = returns_number("noise")
 
     def sample(self) -> None:
@@ -359,12 +347,12 @@ class GPS(Sensor):
     LOCAL, WGS84 = 0, 1
     _values: Triple = (nan, nan, nan)
     _speed: Triple = (nan, nan, nan)
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     def getSpeed(self) -> float:
         return math.hypot(*self._speed)
 
-    getSpeedVector = returns_list("_speed")
+    getSpeedVector = returns("_speed", list)
     getCoordinateSystem = returns("LOCAL")
 
     def sample(self) -> None:
@@ -375,15 +363,6 @@ class GPS(Sensor):
         moving = self._simulation.physics.velocity(spec.body, spec.frame)[0]
         u, v, w = (component + self._noise(blur) for component in moving)
         self._speed = u, v, w
-
-
-class Altimeter(ScalarSensor):
-    """Height in the world, m."""
-
-    def sample(self) -> None:
-        up = self._simulation.scene.directions[UP]
-        height = frames.dot(self._frame()[0], up) + self._noise(number(self._spec.node, "accuracy"))
-        self._value = self._rounded(height)
 
 
 # Surroundings
@@ -446,7 +425,7 @@ class TouchSensor(ScalarSensor, HasLookupTable):
 
     BUMPER, FORCE, FORCE3D = 0, 1, 2
     _values: Triple = (nan, nan, nan)
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     def getType(self) -> int:
         return {"force": 1, "force-3d": 2}.get(text(self._spec.node, "type"), 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import islice
 from typing import Any
 
 from deepbots_cli.diagnostics.nearest import did_you_mean
@@ -11,7 +12,7 @@ from deepbots_webots.nodes import text, texts, walk
 from deepbots_webots.scene import DEVICES
 from deepbots_webots.sensors import Sampled, missing_attribute, returns
 from deepbots_webots.simulation import Simulation
-from deepbots_webots.tree import Node, number_of
+from deepbots_webots.tree import Node
 
 _ACTIVE: list[Simulation] = []
 """The simulation that runs in this process; the module `controller` belongs to it."""
@@ -164,10 +165,8 @@ class Supervisor(Robot):
         return Node(self._webots_simulation, match)
 
     def getFromId(self, id: int) -> Node | None:
-        for node in walk(self._webots_simulation.scene.nodes):
-            if number_of(self._webots_simulation, node) == id:
-                return Node(self._webots_simulation, node)
-        return None
+        node = next(islice(walk(self._webots_simulation.scene.nodes), max(0, id - 1), None), None)
+        return Node(self._webots_simulation, node) if node is not None and id > 0 else None
 
     def getFromDevice(self, device: Any) -> Node:
         return Node(self._webots_simulation, device._spec.node)

@@ -116,13 +116,6 @@ TURNED = "rotation 0 1 0 0.3"
     [
         ("", "Accelerometer { }", "", lambda sensor: sensor.getValues(), [0, 9.81, 0]),
         ("", "Compass { }", "", lambda sensor: sensor.getValues(), [1, 0, 0]),
-        (
-            "translation 1 2 3",
-            'Altimeter { name "s" translation 0 0.5 0 }',
-            "",
-            lambda sensor: sensor.getValue(),
-            2.5,
-        ),
         ("translation 1 2 3", "GPS { }", "", lambda sensor: sensor.getValues(), [1, 2, 3]),
         ("rotation 1 0 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0.3, 0, 0]),
         ("rotation 0 1 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0, 0.3]),

@@ -181,15 +181,12 @@ def test_a_position_is_approached_by_the_gain_and_within_the_velocity():
     assert 1 - position.getSFFloat() == pytest.approx(0.4 * math.exp(-5 * 0.4), rel=0.1)
 
 
-@pytest.mark.parametrize(("parameters", "brake"), [("dampingConstant 4", ""), ("", "Brake { }")])
-def test_damping_slows_exponentially(axes: str, parameters: str, brake: str):
-    text = hinge(parameters, f"RotationalMotor {{ maxTorque 1e6 }} {brake}")
+def test_damping_slows_exponentially(axes: str):
+    text = hinge("dampingConstant 4", "RotationalMotor { maxTorque 1e6 }")
     simulation = simulate(text, axes=axes, gravity=0)
     motor = turning(simulation, 3)
     simulation.run_step()
     motor.setTorque(0)
-    if brake:
-        device(simulation, "brake").setDampingConstant(4)
     run(simulation, 0.2)
     left = 3 * math.exp(-4 / ROD_INERTIA * 0.2)
     assert enu(node(simulation, "ROD").getVelocity(), axes)[4] == pytest.approx(left, rel=0.03)
