@@ -12,18 +12,17 @@ simulation.py  time, messages and sampling: what a controller's step does; the p
 rendering.py   pictures that cameras take, and a video from the viewpoint of the world
 sensors.py     what devices share, missing functions; sensors of motion, light and the surroundings
 imaging.py     cameras, range finders and lidars
-devices.py     motors, brakes, position sensors, emitters, receivers; the class of each device
+devices.py     motors, position sensors, emitters, receivers; the class of each device
 tree.py        the classes Node and Field
 supervisor.py  the classes Robot, Supervisor and Keyboard
-vehicle.py     the classes Driver and Car
 runner.py      controllers as threads of one process, one at a time
 viewer.py      a run in the browser
 command.py     the commands `deepbots webots` and `deepbots new --webots`
-site/          the folder with the modules `controller` and `vehicle`, on the path of controllers
+site/          the folder with the module `controller`, on the path of controllers
 imports/       a project as a scenario: `deepbots new --webots`
 export/        a scenario as a project of Webots
 bridge/        what the controllers of an exported project use
 
-deepbots-cli reaches the commands by the entry points of `pyproject.toml`. A controller imports `controller` and
-`vehicle` as in Webots.
+deepbots-cli reaches the commands by the entry points of `pyproject.toml`. A controller imports `controller` as in
+Webots.
 """

@@ -6,10 +6,9 @@ import os
 import sys
 import time
 import webbrowser
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from string import digits
 from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
@@ -19,7 +18,6 @@ from deepbots_cli.cli.command import Force, Host, Json, Open, Port, integer, opt
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
-from deepbots_cli.records import dataclass
 from deepbots_cli.words import counted
 
 if TYPE_CHECKING:
@@ -27,13 +25,9 @@ if TYPE_CHECKING:
     from deepbots_webots.project import Program, World
     from deepbots_webots.runner import Outcome
     from deepbots_webots.scene import Robot, Scene
-    from deepbots_webots.simulation import Pace, Simulation
-    from deepbots_webots.viewer import Viewer
 
 _MAX_NAMED = 5
 """The maximum number of worlds that a message names."""
-_MAX_DIGITS = 6
-"""The digits of a number in a range of names."""
 
 
 def command(
@@ -100,28 +94,54 @@ def command(
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
-    options = _Options(
-        world,
-        protos or (),
-        _chosen(controller or ()),
-        steps,
-        timeout,
-        python,
-        record,
-        force,
-        view,
-        host,
-        port,
-        open_,
-        is_fast=not view if fast is None else fast,
-        as_json=as_json,
-    )
-    with _checked(world, options.protos):
-        opened = _read(options)
-        if allow_code:
-            _run(opened, options)
-        else:
-            _show_robots(opened, as_json=as_json)
+    chosen = _chosen(controller or ())
+    with _checked(world, protos or ()):
+        read, scene, programs = _read(world, protos or (), chosen)
+        if not allow_code:
+            _show_robots(scene, programs, as_json=as_json)
+            return
+        from deepbots_webots.rendering import video
+        from deepbots_webots.runner import Runner, packages_of
+        from deepbots_webots.simulation import Pace, Simulation
+
+        simulation = Simulation(scene, read.span)
+        pace = Pace(simulation, is_fast=not view if fast is None else fast)
+        try:
+            with ExitStack() as stack:
+                after_step: list[Callable[[], None]] = []
+                if view:
+                    from deepbots_webots.viewer import Viewer
+
+                    viewer = stack.enter_context(Viewer(simulation, pace, world.name, host, port))
+                    after_step.append(viewer)
+                    terminal.note(viewer.address)
+                    terminal.note("Ctrl-C ends it")
+                    if open_:
+                        webbrowser.open(viewer.address)
+                if record is not None:
+                    after_step.append(stack.enter_context(video(simulation, record.resolve(), force=force)))
+                runner = Runner(
+                    simulation,
+                    programs,
+                    steps=steps,
+                    timeout=timeout,
+                    packages=packages_of(python) if python is not None else (),
+                    # With --json, the standard output has the JSON alone.
+                    output=sys.stderr if as_json else None,
+                    pace=pace,
+                    after_step=after_step,
+                )
+                started = time.perf_counter()
+                outcome = runner.run()
+                seconds = time.perf_counter() - started
+        except KeyboardInterrupt:
+            terminal.note("interrupted")
+            _leave(INTERRUPTED)
+    _report(outcome, seconds, simulation.physics_seconds, as_json=as_json)
+    if outcome.is_stuck:
+        _leave(outcome.exit_code)
+    if outcome.exit_code:
+        raise typer.Exit(outcome.exit_code)
 
 
 def start(world: Path, protos: Sequence[Path], name: str, title: str) -> Starter:
@@ -190,59 +210,32 @@ def _chosen(words: Iterable[str]) -> dict[str, Path]:
     return chosen
 
 
-@dataclass(frozen=True)
-class _Options:
-    """The world with the folders of its PROTOs and programs by robot, how to run it, and where to serve its
-    page."""
-
-    world: Path
-    protos: Sequence[Path]
-    controllers: dict[str, Path]
-    steps: int | None
-    timeout: float
-    python: Path | None
-    record: Path | None
-    force: bool
-    has_page: bool
-    host: str
-    port: int | None
-    opens_browser: bool
-    is_fast: bool
-    as_json: bool
-
-
-@dataclass(frozen=True)
-class _Opened:
-    """A world that was read, and the programs of its robots."""
-
-    world: World
-    scene: Scene
-    programs: list[tuple[Robot, Program]]
-
-
-def _read(options: _Options) -> _Opened:
+def _read(
+    path: Path, protos: Sequence[Path], chosen: Mapping[str, Path]
+) -> tuple[World, Scene, list[tuple[Robot, Program]]]:
+    """Return a world, its scene, and its robots with their programs; print its warnings."""
     from deepbots_webots.project import programs, read_world
     from deepbots_webots.scene import build_scene
 
-    world = read_world(options.world, options.protos)
+    world = read_world(path, protos)
     scene = build_scene(world)
     for warning in world.findings.warnings:
         terminal.note(str(warning))
     world.findings.require_none()
     names = [robot.name for robot in scene.robots]
-    unknown = next((name for name in options.controllers if name not in names), None)
+    unknown = next((name for name in chosen if name not in names), None)
     if unknown is not None:
         robots = f"the robots of the world are {', '.join(names)}" if names else "the world has no robots"
         raise UsageError(f"--controller {unknown}=...: {robots}")
-    pairs = list(programs(world.files, scene.robots, options.controllers))
+    pairs = list(programs(world.files, scene.robots, chosen))
     for _, program in pairs:
         if program.remark:
             terminal.note(program.remark)
-    return _Opened(world, scene, pairs)
+    return world, scene, pairs
 
 
-def _show_robots(opened: _Opened, *, as_json: bool) -> None:
-    paths = {robot: program.path for robot, program in opened.programs}
+def _show_robots(scene: Scene, programs: Sequence[tuple[Robot, Program]], *, as_json: bool) -> None:
+    paths = {robot: program.path for robot, program in programs}
     rows = [
         {
             "robot": robot.name,
@@ -251,114 +244,17 @@ def _show_robots(opened: _Opened, *, as_json: bool) -> None:
             "runs": "yes" if paths.get(robot) is not None else "no",
             "devices": ", ".join(robot.devices),
         }
-        for robot in opened.scene.robots
-    ]
-    shown = [
-        row | {"devices": _short(robot.devices)} for row, robot in zip(rows, opened.scene.robots, strict=True)
+        for robot in scene.robots
     ]
     note = "add --allow-code to run these controllers, if you trust the project"
     if not rows:
         note = "the world has no robots, so that no controller would run"
-    terminal.show(rows, table(shown, is_prose=True), *([note] if not as_json else []), as_json=as_json)
+    terminal.show(rows, table(rows, is_prose=True), *([note] if not as_json else []), as_json=as_json)
 
 
 def _controller(robot: Robot, path: Path | None) -> str:
     """Return the name of a controller; the file of one that has another name."""
     return robot.controller if path is None or path.stem == robot.controller else path.name
-
-
-def _short(names: Iterable[str]) -> str:
-    """Return names as a text, of which consecutive ones such as `ps0`, `ps1` and `ps2` are `ps0 .. ps2`."""
-    stems: dict[str, list[str]] = {}
-    for name in names:
-        stems.setdefault(name.rstrip(digits), []).append(name)
-    entries = []
-    for stem, each in stems.items():
-        first = int(each[0].removeprefix(stem)[:_MAX_DIGITS] or 0)
-        is_range = len(each) > 2 and each == [f"{stem}{first + at}" for at in range(len(each))]
-        entries += [f"{each[0]} .. {each[-1]}"] if is_range else each
-    return ", ".join(entries)
-
-
-def _run(opened: _Opened, options: _Options) -> None:
-    from deepbots_webots.simulation import Pace, Simulation
-
-    is_fast, viewer = options.is_fast, None
-    try:
-        with ExitStack() as stack:
-            while True:
-                simulation = Simulation(opened.scene, opened.world.span)
-                pace = Pace(simulation, is_fast=is_fast)
-                if viewer is not None:
-                    viewer.show(simulation, pace)
-                elif options.has_page:
-                    viewer = stack.enter_context(_serve(simulation, pace, options))
-                outcome, seconds = _run_once(simulation, opened.programs, options, pace, viewer)
-                # A stuck controller is a thread that nothing ends, and it would run beside its successor.
-                if viewer is None or not pace.wants_restart or outcome.is_stuck:
-                    break
-                for problem in outcome.problems:
-                    terminal.print_error(problem)
-                opened, is_fast = _read(options), pace.is_fast
-    except KeyboardInterrupt:
-        terminal.note("interrupted")
-        _leave(INTERRUPTED)
-    _report(outcome, seconds, simulation.physics_seconds, as_json=options.as_json)
-    if outcome.is_stuck:
-        _leave(outcome.exit_code)
-    if outcome.exit_code:
-        raise typer.Exit(outcome.exit_code)
-
-
-def _run_once(
-    simulation: Simulation,
-    programs: list[tuple[Robot, Program]],
-    options: _Options,
-    pace: Pace,
-    viewer: Viewer | None,
-) -> tuple[Outcome, float]:
-    """Run the controllers until their end; returns how they ended, and the seconds of the wall clock."""
-    from deepbots_webots.rendering import video
-    from deepbots_webots.runner import Runner, packages_of
-
-    with ExitStack() as stack:
-        recorder = None
-        if options.record is not None:
-            path = options.record.resolve()
-            recorder = stack.enter_context(video(simulation, path, force=options.force))
-        runner = Runner(
-            simulation,
-            programs,
-            steps=options.steps,
-            timeout=options.timeout,
-            packages=packages_of(options.python) if options.python is not None else (),
-            # With --json, the standard output has the JSON alone.
-            output=sys.stderr if options.as_json else None,
-            pace=pace,
-            after_step=[call for call in (recorder, viewer) if call is not None],
-            on_line=None if viewer is None else viewer.print_line,
-        )
-        started = time.perf_counter()
-        return runner.run(), time.perf_counter() - started
-
-
-def _serve(simulation: Simulation, pace: Pace, options: _Options) -> Viewer:
-    """Serve the page of a run, and print its address. A run that is recorded has no second one."""
-    from deepbots_webots.viewer import Viewer
-
-    viewer = Viewer(
-        simulation,
-        pace,
-        options.world.name,
-        options.host,
-        options.port,
-        can_restart=options.record is None,
-    )
-    terminal.note(viewer.address)
-    terminal.note("Ctrl-C ends it")
-    if options.opens_browser:
-        webbrowser.open(viewer.address)
-    return viewer
 
 
 def _leave(code: int) -> NoReturn:

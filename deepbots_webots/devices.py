@@ -1,4 +1,4 @@
-"""The devices of robots, as the module `controller` has them: motors, brakes and sensors of joints, emitters,
+"""The devices of robots, as the module `controller` has them: motors and sensors of joints, emitters,
 receivers, those that do little, and the class of each.
 
 Names and meanings are those of Webots' reference. An attribute of Webots that is missing here raises
@@ -16,14 +16,12 @@ from dataclasses import replace
 from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Triple
 from deepbots_webots.imaging import Camera, Lidar, RangeFinder
 from deepbots_webots.nodes import integer, number, numbers, text
 from deepbots_webots.scene import Device as Spec
 from deepbots_webots.sensors import (
     GPS,
     Accelerometer,
-    Altimeter,
     Compass,
     Device,
     DistanceSensor,
@@ -35,9 +33,6 @@ from deepbots_webots.sensors import (
     TouchSensor,
     Unimplemented,
     returns,
-    returns_count,
-    returns_integer,
-    returns_list,
     returns_number,
 )
 from deepbots_webots.simulation import Packet, Simulation
@@ -66,9 +61,6 @@ class JointDevice(Device):
     def getPositionSensor(self) -> Any:
         return self._sibling("PositionSensor")
 
-    def getBrake(self) -> Any:
-        return self._sibling("Brake")
-
 
 class PositionSensor(JointDevice, ScalarSensor):
     """The position of a joint, rad or m."""
@@ -78,14 +70,6 @@ class PositionSensor(JointDevice, ScalarSensor):
         if joint is not None:
             position = self._simulation.physics.joint_position(joint)
             self._value = self._rounded(position + self._noise(number(self._spec.node, "noise")))
-
-
-class Brake(JointDevice):
-    """Damping that a controller adds to a joint, N m s/rad or N s/m."""
-
-    def setDampingConstant(self, dampingConstant: float) -> None:
-        if self._spec.joint is not None:
-            self._simulation.physics.set_damping(self._spec.joint, float(dampingConstant))
 
 
 class _Feedback(ScalarSensor):
@@ -279,28 +263,10 @@ class Receiver(_ChannelDevice, Sensor):
         position, rotation = self._frame()
         start = self._simulation.physics.position(sender.body, sender.frame)
         arrived = replace(packet, offset=frames.subtract(start, position), rotation=rotation)
-        if 0 <= packet.range < arrived.distance or (is_light and not self._sees(arrived, start)):
+        if 0 <= packet.range < arrived.distance:
             return
         arrived.noise = 1 + self._noise(number(spec.node, "signalStrengthNoise"))
         self._arrived.append(arrived)
-
-    def _sees(self, packet: Packet, start: Triple) -> bool:
-        """Return whether infra-red light from a point arrives: within both cones, and past obstacles."""
-        physics, sender, spec = self._simulation.physics, packet.emitter, self._spec
-        if packet.distance == 0:
-            return True
-        ahead = frames.scaled(packet.offset, -1 / packet.distance)
-        sent = physics.frame(sender.body, sender.frame)[1]
-        for device, direction in (
-            (sender, frames.rotate_back(sent, ahead)),
-            (spec, packet.direction),
-        ):
-            aperture = number(device.node, "aperture")
-            if aperture >= 0 and direction[0] < math.cos(min(aperture / 2, math.pi)):
-                return False
-        hit = physics.cast(start, [ahead], packet.distance, sender.body.robot)[0]
-        # The ray may end at the robot that carries the receiver, which hides nothing.
-        return hit[1] < 0 or physics.geoms[hit[1]][0].robot is spec.body.robot
 
     def sample(self) -> None:
         for packet in self._arrived:
@@ -309,7 +275,7 @@ class Receiver(_ChannelDevice, Sensor):
                 self._queue.append(packet)
         self._arrived.clear()
 
-    getQueueLength = returns_count("_queue")
+    getQueueLength = returns("_queue", len)
 
     def nextPacket(self) -> None:
         self._queue.remove(self._head)
@@ -322,7 +288,7 @@ class Receiver(_ChannelDevice, Sensor):
 
     getBytes = getData = returns("_head.data")
     getSignalStrength = returns("_head.strength")
-    getEmitterDirection = returns_list("_head.direction")
+    getEmitterDirection = returns("_head.direction", list)
 
     def getString(self) -> str:
         text: bytes = self.getBytes().partition(b"\0")[0]
@@ -332,7 +298,7 @@ class Receiver(_ChannelDevice, Sensor):
         data = self._head.data
         return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
 
-    getDataSize = returns_count("_head.data")
+    getDataSize = returns("_head.data", len)
 
 
 class LED(Device):
@@ -356,8 +322,8 @@ class Display(Device):
     drawPixel = drawLine = drawRectangle = drawOval = drawPolygon = drawText = _draw
     fillRectangle = fillOval = fillPolygon = _draw
 
-    getWidth = returns_integer("width")
-    getHeight = returns_integer("height")
+    getWidth = returns_number("width", int)
+    getHeight = returns_number("height", int)
 
 
 class Speaker(Device):
@@ -371,57 +337,24 @@ class Speaker(Device):
     playSound = speak = stop = setEngine = setLanguage = isSoundPlaying = isSpeaking = _sound
 
 
-class Connector(Device):
-    """A connector: no function of it is implemented."""
-
-
 class Pen(Device):
-    """A pen: no function of it is implemented."""
+    """A pen that draws nothing."""
+
+    def setInkColor(self, *_: Any) -> None:
+        """Do nothing."""
 
 
-class Microphone(Device):
-    """A microphone: no function of it is implemented."""
+def _stubs(base: Any, *names: str) -> list[Any]:
+    """Return classes of which no function is implemented."""
+    return [type(base)(name, (base,), {"__module__": __name__}) for name in names]
 
 
-class VacuumGripper(Device):
-    """A vacuum gripper: no function of it is implemented."""
-
-
-class Skin(Device):
-    """A skin: no function of it is implemented."""
-
-
-class Radio(Device):
-    """A radio: no function of it is implemented."""
-
-
-class Radar(Device):
-    """A radar: no function of it is implemented."""
-
-
-class Joystick(Unimplemented):
-    """A joystick."""
-
-
-class Motion(Unimplemented):
-    """A file with motions of joints."""
-
-
-class Mouse(Unimplemented):
-    """The mouse of a person."""
-
-
-class MouseState(Unimplemented):
-    """Where the mouse of a person is."""
-
-
-class RadarTarget(Unimplemented):
-    """A solid that a radar sees."""
-
-
-class Proto(Unimplemented):
-    """The definition of a PROTO node."""
-
+Altimeter, Brake, Connector, Microphone, VacuumGripper, Skin, Radio, Radar = _stubs(
+    Device, "Altimeter", "Brake", "Connector", "Microphone", "VacuumGripper", "Skin", "Radio", "Radar"
+)
+Joystick, Motion, Mouse, MouseState, RadarTarget, Proto = _stubs(
+    Unimplemented, "Joystick", "Motion", "Mouse", "MouseState", "RadarTarget", "Proto"
+)
 
 _CLASSES: dict[str, type[Device]] = {
     "RotationalMotor": Motor,

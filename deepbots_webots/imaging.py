@@ -22,8 +22,6 @@ from deepbots_webots.sensors import (
     NotImplementedCallError,
     Sensor,
     returns,
-    returns_count,
-    returns_list,
     returns_number,
 )
 from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, compose, inverse, visible_shape
@@ -97,7 +95,6 @@ class Camera(_Optics):
     def __init__(self, simulation: Simulation, spec: Spec) -> None:
         super().__init__(simulation, spec)
         self._picture: NDArray[np.uint8] | None = None
-        self._zoom = child(spec.node, "zoom")
         self._recognition = _Recognition(simulation, spec, self)
 
     def sample(self) -> None:
@@ -151,23 +148,9 @@ class Camera(_Optics):
         self._recognition.disable()
 
     getRecognitionSamplingPeriod = returns("_recognition._asked")
-    getRecognitionObjects = returns_list("_recognition.objects")
+    getRecognitionObjects = returns("_recognition.objects", list)
 
-    getRecognitionNumberOfObjects = returns_count("_recognition.objects")
-
-    def getMinFov(self) -> float:
-        return self._fov if self._zoom is None else number(self._zoom, "minFieldOfView")
-
-    def getMaxFov(self) -> float:
-        return self._fov if self._zoom is None else number(self._zoom, "maxFieldOfView")
-
-    def setFov(self, f: float) -> None:
-        """Set the field of view (rad) of a camera with a Zoom node."""
-        low, high = self.getMinFov(), self.getMaxFov()
-        if self._zoom is None or not low <= f <= high:
-            self._warn(f"setFov({f:g}) has no effect: the camera has no Zoom node that allows it")
-            return
-        self._fov = float(f)
+    getRecognitionNumberOfObjects = returns("_recognition.objects", len)
 
 
 @dataclass(frozen=True)
@@ -432,7 +415,7 @@ class Lidar(_HasRange):
             self._image[layer * self._columns + columns[at]] = value if value >= least else math.inf
             self._times[columns[at]] = now
 
-    getRangeImage = returns_list("_image")
+    getRangeImage = returns("_image", list)
 
     def getLayerRangeImage(self, layer: int) -> list[float]:
         return self._image[layer * self._columns : (layer + 1) * self._columns]
@@ -461,19 +444,13 @@ class Lidar(_HasRange):
             for distance, (x, y, z), time in points
         ]
 
-    getNumberOfPoints = returns_count("_image")
+    getNumberOfPoints = returns("_image", len)
     getHorizontalResolution = returns("_columns")
     getNumberOfLayers = returns("_layers")
     getFov = returns("_fov")
     getVerticalFov = returns("_high")
 
     getFrequency = returns("_frequency")
-
-    def setFrequency(self, frequency: float) -> None:
-        low, high = self.getMinFrequency(), self.getMaxFrequency()
-        if not low <= frequency <= high:
-            self._warn(f"the frequency {frequency:g} Hz is outside {low:g} .. {high:g}, and is limited")
-        self._frequency = min(max(float(frequency), low), high)
 
     getMinFrequency = returns_number("minFrequency")
     getMaxFrequency = returns_number("maxFrequency")

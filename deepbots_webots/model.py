@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -63,7 +64,6 @@ class ModelBuilder:
             self._add_body(body)
         self._add_exclusions()
         self._add_pairs()
-        self._add_loops()
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
@@ -143,23 +143,17 @@ class ModelBuilder:
 
     def _add_pairs(self) -> None:
         """Give pairs of materials their friction, where it is not the larger one of the two."""
-        usual = self.scene.contacts["", ""]
-        special = {
-            pair for pair, contact in self.scene.contacts.items() if contact != usual and pair[0] != pair[1]
-        }
-        for at, (body, first) in enumerate(self.geometries):
-            for other_at in range(at + 1, len(self.geometries)):
-                other_body, second = self.geometries[other_at]
-                pair = (first.material, second.material)
-                mixed = first.material != second.material
-                pair_contact = self.scene.contact(*pair)
-                differs = mixed and (
-                    pair in special
-                    or pair[::-1] in special
-                    or pair_contact.friction != max(self.scene.contact(name, name).friction for name in pair)
-                )
-                if differs and _may_touch(body, other_body):
-                    self._add_pair(at, other_at, pair_contact)
+        contact = self.scene.contact
+        for (at, (body, first)), (other_at, (other_body, second)) in combinations(
+            enumerate(self.geometries), 2
+        ):
+            if first.material == second.material or not _may_touch(body, other_body):
+                continue
+            own = [contact(name, name) for name in (first.material, second.material)]
+            pair_contact = contact(first.material, second.material)
+            usual = [max(pair) for pair in zip(*map(_friction, own), strict=True)]
+            if (usual, max(map(_condim, own))) != (_friction(pair_contact), _condim(pair_contact)):
+                self._add_pair(at, other_at, pair_contact)
 
     def _add_pair(self, first: int, second: int, contact: Contact) -> None:
         for index in (first, second):
@@ -173,18 +167,6 @@ class ModelBuilder:
             solref=[self.contact_time, 1.0],
             solimp=CONTACT_IMPEDANCE,
         )
-
-    def _add_loops(self) -> None:
-        for loop in self.scene.loops:
-            self.spec.add_equality(
-                type=mj.mjtEq.mjEQ_WELD,
-                objtype=mj.mjtObj.mjOBJ_BODY,
-                name1=f"b{loop.end.index}",
-                name2="world" if loop.other is None else f"b{loop.other.index}",
-                data=[*[0.0] * 10, 1.0, 0.0],  # in their pose at the start; torques count as forces at 1 m
-                solref=[self.contact_time, 1.0],
-                solimp=MOTOR_IMPEDANCE,  # that of contacts lets a rod of 1 m sag by 2 mm
-            )
 
 
 def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bool = False) -> dict[str, Any]:

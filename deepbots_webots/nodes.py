@@ -193,7 +193,7 @@ _SLOTS: Mapping[str, tuple[str, ...]] = {
     "device": ("Motor", "PositionSensor", "Brake"),
     "device2": ("Motor", "PositionSensor", "Brake"),
     "device3": ("Motor", "PositionSensor", "Brake"),
-    "endPoint": ("Solid", "SolidReference", "Slot", "Group"),
+    "endPoint": ("Solid", "SolidReference", "Slot"),
     "fastHelix": ("Solid",),
     "slowHelix": ("Solid",),
     "geometry": _GEOMETRIES,
@@ -209,7 +209,7 @@ _SLOTS: Mapping[str, tuple[str, ...]] = {
 def check(nodes: list[Node], findings: WorldFindings) -> None:
     """Find nodes and fields that do not exist, and values of a wrong type."""
     for node in walk(nodes):
-        if node.body is None:
+        if node.body is None and node.type:  # a node without a type has a finding already
             _check_node(node, findings)
 
 
@@ -228,8 +228,7 @@ def _slot_problem(name: str, value: Value) -> str:
     """Return why a node cannot be in a field; "" if it can."""
     kinds = _SLOTS.get(name, ())
     for item in value.nodes if kinds else ():
-        is_known = real(item).type in node_types()
-        if is_known and not any(is_a(item, kind) for kind in kinds):
+        if real(item).type and not any(is_a(item, kind) for kind in kinds):
             return f"a {item.type[:60]}, and not a {' or '.join(kinds[:3])}"
     return ""
 

@@ -258,7 +258,7 @@ class Physics:
         self._free = {body: int(model.jnt_qposadr[index]) for body, index in self._free_ids.items()}
         self._free_dofs = {body: int(model.jnt_dofadr[index]) for body, index in self._free_ids.items()}
         self._static_frames = model.body_pos.copy(), model.body_quat.copy()
-        self._usual = model.dof_frictionloss.copy(), model.dof_damping.copy()
+        self._usual_friction = model.dof_frictionloss.copy()
         self._bounces = _BounceTable(scene, [geometry for _, geometry in self.geoms])
         self._damped = [body for body in scene.bodies if any(body.damping)]
         shafts = dict.fromkeys(propeller.joint for propeller in scene.propellers)
@@ -297,7 +297,7 @@ class Physics:
         for owner, index in joints:
             dofs = slice(velocities[index], velocities[index + 1])
             at = slice(positions[index], positions[index + 1])
-            yield owner, [(data.qpos, at), (data.qvel, dofs), (model.dof_damping, dofs)]
+            yield owner, [(data.qpos, at), (data.qvel, dofs)]
         for body, number_ in zip(self.scene.bodies, self.bodies, strict=True):
             if body not in self._free:
                 yield body, [(model.body_pos, number_), (model.body_quat, number_)]
@@ -317,7 +317,7 @@ class Physics:
         """Bring the world back to its start."""
         model, data = self.model, self.data
         model.body_pos[:], model.body_quat[:] = self._static_frames
-        model.dof_frictionloss[:], model.dof_damping[:] = self._usual
+        model.dof_frictionloss[:] = self._usual_friction
         mj.mj_resetData(model, data)
         data.qpos[:], data.qvel[:] = self._start
         self.motors.reset()
@@ -517,11 +517,6 @@ class Physics:
         index = self._joint_ids[joint]
         self.data.qpos[self.model.jnt_qposadr[index]] = position
         self._has_positions = self._has_velocities = False
-
-    def set_damping(self, joint: Joint, extra: float) -> None:
-        """Let a brake add to the damping of a joint."""
-        dof = int(self.model.jnt_dofadr[self._joint_ids[joint]])
-        self.model.dof_damping[dof] = joint.damping + max(0.0, extra)
 
     def set_gravity(self, gravity: float) -> None:
         """Set the gravity, m/s^2 downward."""

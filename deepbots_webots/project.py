@@ -36,7 +36,6 @@ from deepbots_webots.nodes import (
     STANDING_TURN,
     boolean,
     check,
-    children,
     node_types,
     number,
     numbers,
@@ -291,7 +290,6 @@ class Equivalent(Proto):
             "word": text,
             "numbers": numbers,
             "positive": _positive,
-            "tire_radius": _tire_radius,
         }
         functions = {name: partial(read, node) for name, read in readers.items()}
         return self.template.render(functions, has_old_axes=node.has_old_axes)
@@ -310,14 +308,6 @@ def _positive(node: Node, name: str) -> list[float]:
     values = _sizes(node, name)
     is_positive = all(0 < value < 1e4 for value in values)
     return values if is_positive else numbers(replace(node, fields={}), name)
-
-
-def _tire_radius(node: Node, name: str) -> float:
-    """Return the radius of a wheel, or that of a VehicleWheel where it has none."""
-    has_radius = [
-        wheel for wheel in children(node, name) if "tireRadius" in {**wheel.fields, **wheel.interface}
-    ]
-    return number(has_radius[0], "tireRadius") if has_radius else 0.4
 
 
 def _turn_of(proto: Proto) -> Quaternion:
@@ -631,6 +621,6 @@ def _check_extent(node: Node, extent: Extent, level: int) -> None:
 
 
 def _empty(node: Node) -> None:
-    """Let an empty group take the place of a node that has a finding."""
-    node.type, node.interface = "Group", {}
+    """Take the type of a node that has a finding, so that it gets no further ones."""
+    node.type, node.interface = "", {}
     node.fields.clear()

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
-from deepbots_cli.engines.mujoco.cameras import OPEN_RENDERERS, is_available, opens_context
+from deepbots_cli.engines.mujoco.cameras import Renderers, aim, is_available, opens_context
 from deepbots_cli.errors import EngineError
 from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame
@@ -66,19 +66,12 @@ def require_opengl() -> None:
         raise EngineError(UNAVAILABLE)
 
 
-class Pictures:
+class Pictures(Renderers):
     """Draws one world; the model is built for the first picture."""
 
     def __init__(self, physics: Physics) -> None:
+        super().__init__()
         self._physics = physics
-        self._model: Any = None
-        self._renderers: dict[tuple[int, int], Any] = {}
-        OPEN_RENDERERS.add(self)
-
-    def close(self) -> None:
-        for renderer in self._renderers.values():
-            renderer.close()
-        self._renderers.clear()
 
     def colors(self, frame: Frame, size: tuple[int, int], fov: float, near: float = NEAR_M) -> Image:
         """Return the picture of a camera that looks along x of a frame, shape (height, width, 3).
@@ -105,23 +98,19 @@ class Pictures:
             self._build()
         self._follow()
         with _context().as_current():
-            renderer = self._renderer(size)
+            renderer = self.renderer(*size)
             self._model.vis.map.znear = near
             renderer.update_scene(self._data)
-            _aim(renderer, frame, near, near * tan(fov / 2) * size[1] / size[0])
+            position, rotation = frame
+            ahead, up = (frames.rotate(rotation, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)))
+            for light in renderer.scene.lights[: renderer.scene.nlight]:
+                light.pos, light.dir = position, ahead  # by default, a light of MuJoCo is at its own camera
+            aim(renderer, position, ahead, up, (near, FAR_M), tan(fov / 2) * size[1] / size[0])
             if has_depth:
                 renderer.enable_depth_rendering()
             picture = renderer.render()
             renderer.disable_depth_rendering()
         return picture
-
-    def _renderer(self, size: tuple[int, int]) -> Any:
-        if size not in self._renderers:
-            width, height = size
-            # MuJoCo refuses a renderer that is larger than the framebuffer of the model.
-            self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
-            self._renderers[size] = mj.Renderer(self._model, height, width)
-        return self._renderers[size]
 
     def _follow(self) -> None:
         """Place the bodies as they are now."""
@@ -138,20 +127,6 @@ class Pictures:
         self._bodies = {
             index: int(self._model.body_mocapid[element.id]) for index, element in builder.bodies.items()
         }
-
-
-def _aim(renderer: Any, frame: Frame, near: float, top: float) -> None:
-    position, rotation = frame
-    ahead = frames.rotate(rotation, (1.0, 0.0, 0.0))
-    for light in renderer.scene.lights[: renderer.scene.nlight]:
-        light.pos, light.dir = position, ahead  # by default, a light of MuJoCo is at MuJoCo's own camera
-    for camera in renderer.scene.camera:
-        camera.pos = position
-        camera.forward = ahead
-        camera.up = frames.rotate(rotation, (0.0, 0.0, 1.0))
-        camera.frustum_center, camera.frustum_width = 0.0, 0.0
-        camera.frustum_top, camera.frustum_bottom = top, -top
-        camera.frustum_near, camera.frustum_far = near, FAR_M
 
 
 class _VisualModel:

@@ -23,6 +23,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import field
 from importlib.machinery import ModuleSpec
+from importlib.metadata import distributions
+from io import TextIOBase
 from math import inf
 from pathlib import Path
 from typing import TextIO
@@ -37,7 +39,7 @@ from deepbots_webots.scene import Robot
 from deepbots_webots.simulation import Pace, Simulation
 
 SITE = Path(__file__).parent / "site"
-"""The folder with the modules `controller` and `vehicle`."""
+"""The folder with the module `controller`."""
 MAX_STEPS_AFTER_END = 100
 """The number of steps that a controller may make after the end; a further step ends the controller."""
 CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
@@ -45,6 +47,7 @@ CONTROLLER_ENVIRONMENT = {"MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
 networks lose more by several threads than they gain (29 instead of 158 steps/s of a training on a busy
 machine)."""
 _PACKAGE = str(Path(__file__).parent)
+_BEFORE_1_0 = "deepbots before 1.0, such as the package deepbots==0.1.2"
 WATCH_INTERVAL_S = 0.5
 GRACE_S = 2.0
 """The time that controllers have to end after the end of the simulation."""
@@ -61,6 +64,7 @@ class Controller:
     path: list[str]
     modules: dict[str, types.ModuleType]
     due: int = 0
+    begins_again: bool = False  # once it has ended
     turn: threading.Lock = field(default_factory=threading.Lock)
     thread: threading.Thread | None = None
     private: set[str] = field(default_factory=set)
@@ -102,7 +106,6 @@ class Runner:
         errors: TextIO | None = None,
         pace: Pace | None = None,
         after_step: Sequence[Callable[[], None]] = (),
-        on_line: Callable[[str, str], None] | None = None,
     ) -> None:
         """Prepare a run.
 
@@ -116,7 +119,6 @@ class Runner:
             errors: Where errors of controllers go, by default `sys.stderr`.
             pace: When the world may advance; by default, as fast as it can.
             after_step: Called after each basic time step.
-            on_line: Called with the name of a robot and each line that its controller prints.
         """
         self.simulation, self.timeout = simulation, timeout
         self.last_tick = None if steps is None else simulation.ticks + steps * simulation.basic_step
@@ -124,7 +126,8 @@ class Runner:
         self.controllers: list[Controller] = []
         self._by_robot: dict[Robot, Controller] = {}
         for robot, program in programs:
-            self._add(robot, program.path)
+            if program.path is not None:
+                self._add(robot, program.path, len(self.controllers))
         self._robots = set(simulation.scene.robots)
         self.is_over = False
         self._current: Controller | None = None
@@ -132,21 +135,21 @@ class Runner:
         self._progress = 0
         self._problems: list[str] = []
         self._pace = pace or Pace(simulation, is_fast=True)
-        self._after_step, self._on_line = after_step, on_line
+        self._after_step = after_step
         self._output, self._errors = output or sys.stdout, errors or sys.stderr
 
-    def _add(self, robot: Robot, program: Path | None) -> None:
-        if program is not None:
-            folder = str(program.parent)
-            controller = self._by_robot[robot] = Controller(
-                robot,
-                program,
-                texts(robot.node, "controllerArgs"),
-                folder,
-                [folder, *self._path],
-                {"__main__": types.ModuleType("__main__")},
-            )
-            self.controllers.append(controller)
+    def _add(self, robot: Robot, program: Path, place: int) -> None:
+        """Set the controller at a place in the order of the world."""
+        folder = str(program.parent)
+        controller = self._by_robot[robot] = Controller(
+            robot,
+            program,
+            texts(robot.node, "controllerArgs"),
+            folder,
+            [folder, *self._path],
+            {"__main__": types.ModuleType("__main__")},
+        )
+        self.controllers[place : place + 1] = [controller]
 
     # The main thread
 
@@ -155,10 +158,8 @@ class Runner:
         simulation = self.simulation
         if not self.controllers:
             raise UsageError("no robot of the world has a controller that can run")
-        supervisors = [controller for controller in self.controllers if controller.robot.is_supervisor]
-        self._supervisors = supervisors or self.controllers
         supervisor.activate(simulation)
-        simulation.wait = self._wait
+        simulation.wait, simulation.on_restart = self._wait, self._restart
         simulation.on_change.append(self._start_new)
         try:
             with self._surroundings():
@@ -181,14 +182,28 @@ class Runner:
 
     def _start_new(self) -> None:
         """Start the controllers of robots that came into the world."""
-        scene, count = self.simulation.scene, len(self.controllers)
+        scene = self.simulation.scene
         for robot, program in programs_of(
             scene.files, [each for each in scene.robots if each not in self._robots]
         ):
-            self._add(robot, program.path)
+            if program.path is not None:
+                self._add(robot, program.path, len(self.controllers))
+                self._start(self.controllers[-1])
         self._robots = set(scene.robots)
-        for controller in self.controllers[count:]:
-            self._start(controller)
+
+    def _restart(self, robot: Robot) -> None:
+        """Start the program of a robot again, after the end of its present step if it runs."""
+        controller = self._by_robot.get(robot)
+        if controller is None:
+            return
+        controller.begins_again, controller.due = True, self.simulation.ticks
+        if controller.has_ended:
+            self._replace(controller)
+
+    def _replace(self, controller: Controller) -> None:
+        at = self.controllers.index(controller)
+        self._add(controller.robot, controller.program, at)
+        self._start(self.controllers[at])
 
     def _watch(self) -> None:
         """Wait for the end; a controller that does not step for too long ends the run."""
@@ -224,7 +239,7 @@ class Runner:
         # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, self)
         targets = (self._output, self._errors)
-        streams = tuple(_Prefixed(target, self._speaker, self._on_line) for target in targets)
+        streams = tuple(_Prefixed(target, self._speaker) for target in targets)
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
@@ -234,7 +249,7 @@ class Runner:
             yield
         finally:
             for stream in streams:
-                stream.close()
+                stream.end()
             signal.signal = register
             sys.meta_path.remove(self)
             sys.path[:], sys.argv = path, argv
@@ -246,7 +261,7 @@ class Runner:
                 sys.modules.pop(module, None)
             for module in set(sys.modules) - modules_before:
                 # The next run imports the module anew: it belongs to another simulation.
-                if module.partition(".")[0] in ("controller", "vehicle"):
+                if module.partition(".")[0] == "controller":
                     del sys.modules[module]
             if main is not None:
                 sys.modules["__main__"] = main
@@ -269,6 +284,8 @@ class Runner:
             self._problems.append(f"the controller of '{controller.robot.name}' failed: {_described(error)}")
             self.is_over = True
         controller.has_ended = True
+        if controller.begins_again and not self.is_over:
+            self._replace(controller)
         self._end(controller)
 
     def _execute(self, controller: Controller) -> None:
@@ -280,12 +297,13 @@ class Runner:
         exec(code, vars(module))  # after --allow-code
 
     def _end(self, controller: Controller) -> None:
-        if all(other.has_ended for other in self._supervisors):
+        supervisors = [other for other in self.controllers if other.robot.is_supervisor]
+        if all(other.has_ended for other in supervisors or self.controllers):
             self.is_over = True
         if all(other.has_ended for other in self.controllers):
             self._everything_ended.set()
             return
-        if not self.is_over:
+        if not (self.is_over or controller.begins_again):
             code = f" with exit code {controller.exit_code}" if controller.exit_code else ""
             self._errors.write(f"the controller of '{controller.robot.name}' ended{code}; the others go on\n")
         self._pass_on(controller)
@@ -302,8 +320,8 @@ class Runner:
         basic = self.simulation.basic_step
         controller.due = self.simulation.ticks + max(1, -(-period // basic)) * basic
         self._pass_on(controller)
-        if robot not in self._robots:
-            raise SystemExit(0)  # a supervisor removed it
+        if robot not in self._robots or controller.begins_again:
+            raise SystemExit(0)  # a supervisor removed it, or starts it again
         controller.steps += not self.is_over
         return -1 if self.is_over else 0
 
@@ -327,7 +345,7 @@ class Runner:
                 if controller.due <= simulation.ticks:
                     return controller
             at_limit = self.last_tick is not None and simulation.ticks >= self.last_tick
-            if at_limit or simulation.quit_status is not None or self._pace.wants_restart:
+            if at_limit or simulation.quit_status is not None:
                 self.is_over = True
             else:
                 self._advance()
@@ -397,20 +415,14 @@ def _ignore_signal(number: int, _: object) -> object:
     return signal.getsignal(number)
 
 
-class _Prefixed:
+class _Prefixed(TextIOBase):
     """A stream that begins each line with the name of the robot whose controller prints."""
 
     encoding, errors = "utf-8", "replace"
 
-    def __init__(
-        self,
-        stream: TextIO,
-        speaker: Callable[[], str],
-        on_line: Callable[[str, str], None] | None = None,
-    ) -> None:
-        """Create the stream. `speaker` returns the name of the robot, and `on_line` takes it with each
-        line."""
-        self._stream, self._speaker, self._on_line = stream, speaker, on_line
+    def __init__(self, stream: TextIO, speaker: Callable[[], str]) -> None:
+        """Create the stream; `speaker` returns the name of the robot."""
+        self._stream, self._speaker = stream, speaker
         self._unfinished: dict[str, str] = {}
 
     def write(self, text: str) -> int:
@@ -425,26 +437,16 @@ class _Prefixed:
     def _write(self, name: str, lines: Sequence[str]) -> None:
         # Whole lines in one call, so that lines of several controllers do not mix.
         self._stream.write("".join(f"[{name}] {line}\n" for line in lines))
-        if self._on_line is not None:
-            for line in lines:
-                self._on_line(name, line)
-
-    def writelines(self, lines: Sequence[str]) -> None:
-        for line in lines:
-            self.write(line)
 
     def flush(self) -> None:
         self._stream.flush()
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Write lines that have no end yet."""
         for name, unfinished_line in self._unfinished.items():
             self._write(name, [unfinished_line])
         self._unfinished.clear()
         self._stream.flush()
-
-    def isatty(self) -> bool:
-        return False
 
     def writable(self) -> bool:
         return True
@@ -480,7 +482,9 @@ def _described(error: BaseException) -> str:
     described = f"{type(error).__name__}: {message}" if message else type(error).__name__
     name = error.name if isinstance(error, ImportError) else None
     if name is not None and name.startswith("deepbots."):
-        return f"{described}; the project is for deepbots before 1.0, such as the package deepbots==0.1.2"
+        is_old = any(each.version.startswith("0.") for each in distributions(name="deepbots"))
+        fitting = "deepbots 1.0, the package deepbots==1.0.0" if is_old else _BEFORE_1_0
+        return f"{described}; the project is for {fitting}"
     if name is not None and isinstance(error, ModuleNotFoundError):
         package = name.partition(".")[0]
         # Version 1.0 of deepbots requires gym 0.21, which cannot be built any more.

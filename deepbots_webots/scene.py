@@ -11,7 +11,7 @@ fast as their torque allows; a motor of Webots takes one basic time step. So `ph
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field, replace
 from math import hypot
 from typing import Literal, NamedTuple
@@ -145,13 +145,6 @@ class Propeller(NamedTuple):
     joint: Joint
 
 
-class Loop(NamedTuple):
-    """A joint that closes a loop: the body at its end is a part of another one; None is the world."""
-
-    end: Body
-    other: Body | None
-
-
 @dataclass(eq=False)
 class Body:
     """A body: its frame in its parent, or in the world; its joints, its geometries, and the inertias of its
@@ -246,7 +239,6 @@ class Scene:
     visuals: list[Visual] = field(default_factory=list)
     lights: list[Visual] = field(default_factory=list)
     propellers: list[Propeller] = field(default_factory=list)
-    loops: list[Loop] = field(default_factory=list)
 
     @property
     def nodes(self) -> list[Node]:
@@ -283,7 +275,7 @@ MAX_POINTS = 1_000_000
 and a face as two."""
 UNIT: Triple = (1.0, 1.0, 1.0)
 _UNSUPPORTED = frozenset(["Track", "Charger", "Fluid"])
-_DEVICE_SLOTS = ("device", "device2", "device3")
+_DEVICE_SLOTS = ("device", "device2")
 
 
 def build_scene(world: World) -> Scene:
@@ -301,7 +293,6 @@ def build_scene(world: World) -> Scene:
         if real(node).type == "WorldInfo":
             builder.read_world_info(real(node))
     builder.add(root, _Site(None, ORIGIN, UNIT, None))
-    builder.close_loops()
     return scene
 
 
@@ -323,7 +314,6 @@ def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], oute
     for node in nodes:
         builder._link(node, outer)
         builder.add(node, _Site(body, frame, UNIT, None if body is None else body.robot, outer))
-    builder.close_loops()
     findings.require_none()
 
 
@@ -346,7 +336,6 @@ def remove_node(scene: Scene, node: Node) -> None:
     scene.lights = [light for light in scene.lights if light.node not in gone and light.body in bodies]
     propellers = [propeller for propeller in scene.propellers if propeller.joint.node not in gone]
     scene.propellers = [propeller for propeller in propellers if propeller.body in bodies]
-    scene.loops = [loop for loop in scene.loops if bodies.issuperset(loop)]
     visuals = [visual for visual in scene.visuals if visual.node not in gone or visual.body is not around]
     scene.visuals = [visual for visual in visuals if visual.body in bodies]
     attachments = scene.attachments.items()
@@ -392,7 +381,6 @@ class _Builder:
         self.scene, self.files, self.findings = scene, files, findings
         self._shapes: dict[tuple[Node, Triple], Shape | None] = {}
         self._points = 0
-        self._open_loops: list[Body] = []
 
     def read_world_info(self, info: Node) -> None:
         scene = self.scene
@@ -444,17 +432,16 @@ class _Builder:
             self._add_children(node, site.inside(node))
         elif node.type.endswith("Joint"):
             self._add_joint(node, site)
-        elif node.type in _ADDERS:
-            _ADDERS[node.type](self, node, site)
+        elif node.type == "Slot":
+            self._add_children(node, site, "endPoint")
+        elif node.type == "Shape":
+            self._add_visual(node, site)
+        elif node.type == "Propeller":
+            self._add_propeller(node, site)
         elif is_a(node, "Light"):
             self.scene.lights.append(Visual(node, site.body, site.frame, site.scale))
         elif node.type in _UNSUPPORTED:
             self.findings.error(node.span, f"the node {node.type} is not implemented")
-
-    def _add_slot(self, node: Node, site: _Site) -> None:
-        for inner in children(node, "endPoint"):
-            self._link(inner, node)
-            self.add(inner, site)
 
     def _add_visual(self, node: Node, site: _Site) -> None:
         geometry = child(node, "geometry")
@@ -462,8 +449,8 @@ class _Builder:
         frame, scale = _turned(site.frame, site.scale, turn)
         self.scene.visuals.append(Visual(node, site.body, frame, scale))
 
-    def _add_children(self, node: Node, site: _Site) -> None:
-        for inner in children(node):
+    def _add_children(self, node: Node, site: _Site, field: str = "children") -> None:
+        for inner in children(node, field):
             self._link(inner, node)
             self.add(inner, site)
 
@@ -605,33 +592,15 @@ class _Builder:
             self._link(inner, end)
             end = inner
         node_as_written, end = end, real(end)
-        closes_loop = end.type == "SolidReference"
-        if not (closes_loop or is_a(end, "Solid")):
+        if not is_a(end, "Solid"):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
-        frame = site.frame if closes_loop else compose(site.frame, _frame_of(end), site.scale)
-        body = self._body(end, site.body, frame, site.robot)
+        body = self._body(end, site.body, compose(site.frame, _frame_of(end), site.scale), site.robot)
         self._add_axes(node, body, site)
         self._add_joint_devices(node, body, site.robot)
-        if closes_loop:
-            self._open_loops.append(body)
-            return
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.turn))
-
-    def close_loops(self) -> None:
-        """Find the solids that joints name as their end points, once all solids are known."""
-        for end in self._open_loops:
-            name = text(end.node, "solidName")
-            solid = solid_of_name(self.scene, name)
-            if solid is not None or name == "<static environment>":
-                self.scene.loops.append(
-                    Loop(end, None if solid is None else self.scene.attachments[solid][0])
-                )
-            else:
-                self.findings.error(end.node.span, f"there is no solid '{name[:60]}'")
-        self._open_loops.clear()
 
     def _add_propeller(self, node: Node, site: _Site) -> None:
         """Add a propeller, whose helix is seen, and has no mass."""
@@ -660,7 +629,11 @@ class _Builder:
         anchor = (0.0, 0.0, 0.0) if slides or first is None else _vector_or(first, "anchor", (0.0, 0.0, 0.0))
         in_parent = compose(site.frame, (anchor, IDENTITY_ROTATION), site.scale)[0]
         anchor = frames.rotate(inverse, frames.subtract(in_parent, position))
-        for index, (kind, stops, springs, axis) in enumerate(_axes(node, first)):
+        if node.type == "BallJoint" and not _is_passive(node, first):
+            self.findings.error(
+                node.span, "a BallJoint with devices, stops or single axes is not implemented"
+            )
+        for index, (kind, stops, axis) in enumerate(_axes(node, first)):
             length = hypot(*axis)
             if length < 1e-9:
                 self.findings.error(node.span, f"the axis of a {node.type} is zero")
@@ -668,17 +641,16 @@ class _Builder:
             unit = (axis[0] / length, axis[1] / length, axis[2] / length)
             direction = frames.rotate(inverse, frames.rotate(site.frame[1], unit))
             joint = Joint(kind, direction, anchor, node=node, parameters=stops, index=index)
-            self._read_axis(joint, springs)
+            if stops is not None:
+                self._read_axis(joint, stops)
             body.joints.append(joint)
 
-    def _read_axis(self, joint: Joint, springs: Node | None) -> None:
-        if springs is not None:
-            joint.stiffness = max(0.0, number(springs, "springConstant"))
-            joint.damping = max(0.0, number(springs, "dampingConstant"))
-            joint.friction = max(0.0, number(springs, "staticFriction")) if joint.kind != "ball" else 0.0
-        parameters = joint.parameters
-        if parameters is None:
+    def _read_axis(self, joint: Joint, parameters: Node) -> None:
+        joint.stiffness = max(0.0, number(parameters, "springConstant"))
+        joint.damping = max(0.0, number(parameters, "dampingConstant"))
+        if joint.kind == "ball":
             return
+        joint.friction = max(0.0, number(parameters, "staticFriction"))
         joint.position = number(parameters, "position")
         low, high = number(parameters, "minStop"), number(parameters, "maxStop")
         if low > high:
@@ -714,13 +686,6 @@ class _Builder:
             )
             return
         robot.devices[name] = Device(node, node.type, name, body, frame, joint)
-
-
-_ADDERS: Mapping[str, Callable[[_Builder, Node, _Site], None]] = {
-    "Slot": _Builder._add_slot,
-    "Shape": _Builder._add_visual,
-    "Propeller": _Builder._add_propeller,
-}
 
 
 def _damping(node: Node, field: str) -> tuple[float, float] | None:
@@ -762,55 +727,36 @@ def _scaled(scale: Triple, node: Node) -> Triple:
 
 
 class _Axis(NamedTuple):
-    """An axis of a joint node: the nodes with its position and stops, and with its spring."""
+    """An axis of a joint node, and the node with its position, stops and spring."""
 
     kind: JointKind
     parameters: Node | None
-    springs: Node | None
     axis: Triple
 
 
 def _axes(node: Node, first: Node | None) -> list[_Axis]:
-    """Return the axes of a joint node. A ball joint has three in turn if it has devices, stops or parameters
-    of single axes."""
+    """Return the axes of a joint node."""
+    if node.type == "BallJoint":
+        return [_Axis("ball", first, (0.0, 0.0, 1.0))]
     if node.type == "SliderJoint":
         return [_axis("slide", first, (0.0, 0.0, 1.0))]
+    axes = [_axis("hinge", first, (1.0, 0.0, 0.0))]
     if node.type == "Hinge2Joint":
-        second = child(node, "jointParameters2")
-        return [_axis("hinge", first, (1.0, 0.0, 0.0)), _axis("hinge", second, (0.0, 0.0, 1.0))]
-    if node.type != "BallJoint":
-        return [_axis("hinge", first, (1.0, 0.0, 0.0))]
-    others = [child(node, f"jointParameters{number}") for number in (2, 3)]
-    has_devices = any(children(node, slot) for slot in _DEVICE_SLOTS)
-    has_stops = first is not None and number(first, "minStop") != number(first, "maxStop")
-    if not (has_devices or has_stops or any(others)):
-        return [_Axis("ball", None, first, (0.0, 0.0, 1.0))]
-    pairs = zip((first, *others), _ball_axes(*others), strict=True)
-    return [_Axis("hinge", parameters, parameters or first, axis) for parameters, axis in pairs]
+        axes.append(_axis("hinge", child(node, "jointParameters2"), (0.0, 0.0, 1.0)))
+    return axes
 
 
 def _axis(kind: JointKind, parameters: Node | None, default: Triple) -> _Axis:
-    axis = default if parameters is None else _vector_or(parameters, "axis", default)
-    return _Axis(kind, parameters, parameters, axis)
+    return _Axis(kind, parameters, default if parameters is None else _vector_or(parameters, "axis", default))
 
 
-def _ball_axes(second: Node | None, third: Node | None) -> tuple[Triple, Triple, Triple]:
-    """Return the three axes of a ball joint. `jointParameters2` has the first one, and `jointParameters3` the
-    third one, as in Webots; the second one is perpendicular to both."""
-    first_axis, last_axis = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    if second is not None:
-        first_axis = vector(second, "axis")
-        last_axis = _perpendicular(first_axis, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
-    if third is not None:
-        last_axis = vector(third, "axis")
-        if second is None:
-            first_axis = _perpendicular(last_axis, (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))
-    return first_axis, frames.cross(last_axis, first_axis), last_axis
+_OF_SINGLE_AXES = (*("device", "device2", "device3"), "jointParameters2", "jointParameters3")
 
 
-def _perpendicular(axis: Triple, direction: Triple, otherwise: Triple) -> Triple:
-    product = frames.cross(axis, direction)
-    return product if hypot(*product) > 1e-9 else frames.cross(axis, otherwise)
+def _is_passive(joint: Node, first: Node | None) -> bool:
+    """Return whether a ball joint turns freely, without devices, stops or parameters of single axes."""
+    has_stops = first is not None and number(first, "minStop") != number(first, "maxStop")
+    return not (has_stops or any(children(joint, field) for field in _OF_SINGLE_AXES))
 
 
 def _vector_or(node: Node, name: str, default: Triple) -> Triple:

@@ -14,10 +14,10 @@ from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from math import nan
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from deepbots_cli import frames
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_cli.frames import IDENTITY_ROTATION, Frame, Quaternion, Triple
 from deepbots_webots.nodes import boolean, integer, number, parameters, text, vector, vectors
 from deepbots_webots.scene import AXES, NORTH, UP
@@ -45,27 +45,31 @@ MISSING: Mapping[str, str] = {
     " worldLoad worldReload worldSave",
     "Node": "exportString getNumberOfFields getFieldByIndex getNumberOfBaseNodeFields getBaseNodeFieldByIndex"
     " getProtoFieldByIndex getProtoNumberOfFields getProto getStaticBalance"
-    " moveViewpoint restartController setVisibility enableContactPointsTracking"
+    " moveViewpoint setVisibility enableContactPointsTracking"
     " disableContactPointsTracking enablePoseTracking disablePoseTracking getFromProtoDef",
     "Field": "disableSFTracking enableSFTracking importSFNode importSFNodeFromString removeSF insertMFBool"
     " insertMFColor insertMFFloat insertMFInt32 insertMFRotation insertMFString insertMFVec2f insertMFVec3f",
     "GPS": "convertToDegreesMinutesSeconds",
-    "Camera": "getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
+    "Camera": "setFov getMinFov getMaxFov"
+    " getExposure getFocalDistance getFocalLength getMaxFocalDistance getMinFocalDistance"
     " setExposure setFocalDistance getRecognitionSegmentationImage getRecognitionSegmentationImageArray"
     "  hasRecognitionSegmentation isRecognitionSegmentationEnabled"
     " disableRecognitionSegmentation enableRecognitionSegmentation saveRecognitionSegmentationImage",
     "Display": "attachCamera detachCamera imageCopy imageDelete imageLoad imageNew imagePaste imageSave",
+    "Lidar": "setFrequency",
+    "Motor": "getBrake",
+    "PositionSensor": "getBrake",
+    "Brake": "setDampingConstant getMotor getPositionSensor getType",
+    "Altimeter": "enable disable getSamplingPeriod getValue",
     "Speaker": "getEngine getLanguage",
     "Connector": "disablePresence enablePresence getPresence getPresenceSamplingPeriod isLocked lock unlock",
-    "Pen": "setInkColor write",
+    "Pen": "write",
     "Microphone": "enable getSampleData getSampleSize",
     "VacuumGripper": "turnOn turnOff isOn enablePresence disablePresence getPresence",
     "Skin": "getBoneCount getBoneName getBoneOrientation getBonePosition setBoneOrientation setBonePosition",
     "Radar": "enable disable getSamplingPeriod getMinRange getMaxRange getHorizontalFov getVerticalFov"
     " getNumberOfTargets getTargets",
     "Radio": "enable send setAddress setChannel setFrequency setTxPower",
-    "Car": "enableIndicatorAutoDisabling enableLimitedSlipDifferential getBackwardsLights getBrakeLights"
-    " getLeftSteeringAngle getRightSteeringAngle setLeftSteeringAngle setRightSteeringAngle",
 }
 """The functions of each class that deepbots does not have."""
 
@@ -83,40 +87,22 @@ def missing_attribute(owner: type, name: str) -> AttributeError:
         if name in MISSING.get(base.__name__, "").split():
             return NotImplementedCallError(f"{base.__name__}.{name} is not implemented")
     public = [word for base in owner.__mro__ for word in vars(base) if not word.startswith("_")]
-    near = nearest_word(name, public)
-    hint = f"; did you mean '{near}'?" if near else ""
-    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{hint}")
+    return AttributeError(f"'{owner.__name__}' has no attribute '{name}'{did_you_mean(name, public)}")
 
 
 # What devices share
 
 
-def returns(attribute: str) -> Callable[[Any], Any]:
-    """Return a method that returns an attribute of its object, such as `_state.acceleration`."""
+def returns(attribute: str, convert: Callable[[Any], Any] = lambda value: value) -> Callable[[Any], Any]:
+    """Return a method that returns an attribute of its object, such as `_state.acceleration`, as a `list` or
+    by its number of items, `len`."""
     read = attrgetter(attribute)
-    return lambda instance: read(instance)
+    return lambda instance: convert(read(instance))
 
 
-def returns_list(attribute: str) -> Callable[[Any], list[Any]]:
-    """Return a method that returns a list of the items of an attribute."""
-    read = attrgetter(attribute)
-    return lambda instance: list(read(instance))
-
-
-def returns_count(attribute: str) -> Callable[[Any], int]:
-    """Return a method that returns the number of items of an attribute."""
-    read = attrgetter(attribute)
-    return lambda instance: len(read(instance))
-
-
-def returns_integer(field: str) -> Callable[[Any], int]:
-    """Return a method of a device that returns a whole number of its node."""
-    return lambda device: integer(device._spec.node, field)
-
-
-def returns_number(field: str) -> Callable[[Any], float]:
-    """Return a method of a device that returns a number of its node."""
-    return lambda device: number(device._spec.node, field)
+def returns_number(field: str, convert: Callable[[float], float] = float) -> Callable[[Any], float]:
+    """Return a method of a device that returns a number of its node, a whole one with `int`."""
+    return lambda device: convert(number(device._spec.node, field))
 
 
 class _NamedDevices(ABCMeta):
@@ -246,7 +232,7 @@ class VectorSensor(HasLookupTable):
         super().renew()
         self._axes = tuple(boolean(self._spec.node, f"{axis}Axis") for axis in "xyz")
 
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     @abstractmethod
     def _measure(self) -> Triple:
@@ -325,8 +311,8 @@ class InertialUnit(Sensor):
 
     _angles: Triple = (nan, nan, nan)
     _turned: Quaternion = (nan, nan, nan, nan)
-    getRollPitchYaw = returns_list("_angles")
-    getQuaternion = returns_list("_turned")
+    getRollPitchYaw = returns("_angles", list)
+    getQuaternion = returns("_turned", list)
     getNoise = returns_number("noise")
 
     def sample(self) -> None:
@@ -361,12 +347,12 @@ class GPS(Sensor):
     LOCAL, WGS84 = 0, 1
     _values: Triple = (nan, nan, nan)
     _speed: Triple = (nan, nan, nan)
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     def getSpeed(self) -> float:
         return math.hypot(*self._speed)
 
-    getSpeedVector = returns_list("_speed")
+    getSpeedVector = returns("_speed", list)
     getCoordinateSystem = returns("LOCAL")
 
     def sample(self) -> None:
@@ -377,15 +363,6 @@ class GPS(Sensor):
         moving = self._simulation.physics.velocity(spec.body, spec.frame)[0]
         u, v, w = (component + self._noise(blur) for component in moving)
         self._speed = u, v, w
-
-
-class Altimeter(ScalarSensor):
-    """Height in the world, m."""
-
-    def sample(self) -> None:
-        up = self._simulation.scene.directions[UP]
-        height = frames.dot(self._frame()[0], up) + self._noise(number(self._spec.node, "accuracy"))
-        self._value = self._rounded(height)
 
 
 # Surroundings
@@ -448,7 +425,7 @@ class TouchSensor(ScalarSensor, HasLookupTable):
 
     BUMPER, FORCE, FORCE3D = 0, 1, 2
     _values: Triple = (nan, nan, nan)
-    getValues = returns_list("_values")
+    getValues = returns("_values", list)
 
     def getType(self) -> int:
         return {"force": 1, "force-3d": 2}.get(text(self._spec.node, "type"), 0)
@@ -492,16 +469,6 @@ SUN_DISTANCE_M = 1000.0
 """The distance of a DirectionalLight in the search for obstacles, m."""
 
 
-class _Beam(NamedTuple):
-    """The light of one source at a position: the direction to the source, its distance (m), and the shares of
-    its intensity that remain after the attenuation by distance and in the cone of a SpotLight."""
-
-    direction: Triple
-    distance: float
-    attenuation: float
-    spot: float
-
-
 class LightSensor(ScalarSensor, HasLookupTable):
     """The response of a lookup table to the irradiance, W/m^2."""
 
@@ -515,18 +482,16 @@ class LightSensor(ScalarSensor, HasLookupTable):
         normal = frames.rotate(rotation, (1.0, 0.0, 0.0))
         total = 0.0
         for light in self._simulation.scene.lights:
-            if not boolean(light.node, "on"):
+            if not boolean(light.node, "on") or light.node.type == "SpotLight":
                 continue
             frame = light.frame if light.body is None else physics.frame(light.body, light.frame)
-            beam = _beam(light.node, frame, position)
-            direct = (
-                number(light.node, "intensity") * max(0.0, frames.dot(normal, beam.direction)) * beam.spot
-            )
+            direction, distance, attenuation = _beam(light.node, frame, position)
+            direct = number(light.node, "intensity") * max(0.0, frames.dot(normal, direction))
             if direct and boolean(node, "occlusion"):
-                hits = physics.cast(position, [beam.direction], beam.distance, self._spec.body.robot)
+                hits = physics.cast(position, [direction], distance, self._spec.body.robot)
                 direct *= hits[0][1] < 0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
-            total += beam.attenuation * (_ambient(light.node) + direct) * color
+            total += attenuation * (_ambient(light.node) + direct) * color
         return total
 
 
@@ -536,32 +501,18 @@ def _ambient(light: Node) -> float:
     return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
-def _beam(node: Node, frame: Frame, position: Triple) -> _Beam:
-    """Return the light of a source that arrives at a position; its attenuation is 1 / (a + b d + c d^2)."""
+def _beam(node: Node, frame: Frame, position: Triple) -> tuple[Triple, float, float]:
+    """Return the direction to a source and its distance from a position, m; and the share of its intensity that
+    arrives there, 1 / (a + b d + c d^2)."""
     if node.type == "DirectionalLight":
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
-        return _Beam(frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0, 1.0)
+        return frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0
     source = compose(frame, (vector(node, "location"), IDENTITY_ROTATION))[0]
     offset = frames.subtract(source, position)
     distance = math.hypot(*offset)
     constant, linear, square = vector(node, "attenuation")
     weakened = constant + linear * distance + square * distance**2
-    direction = _unit(offset)
-    spot = 1.0
-    if node.type == "SpotLight":
-        axis = frames.rotate(frame[1], _unit(vector(node, "direction")))
-        # The product of unit vectors may round beyond 1.
-        spot = _spot_share(node, math.acos(max(-1.0, min(1.0, -frames.dot(axis, direction)))))
-    return _Beam(direction, distance, 1 / weakened if weakened > 0 else 0.0, spot)
-
-
-def _spot_share(node: Node, angle: float) -> float:
-    """Return the share of a SpotLight at an angle (rad) to its axis: 1 within `beamWidth`, 0 beyond
-    `cutOffAngle`, and a straight line between them."""
-    width, edge = number(node, "beamWidth"), number(node, "cutOffAngle")
-    if angle > edge:
-        return 0.0
-    return 1.0 if angle <= width else (edge - angle) / (edge - width)
+    return _unit(offset), distance, 1 / weakened if weakened > 0 else 0.0
 
 
 def _unit(values: Triple) -> Triple:

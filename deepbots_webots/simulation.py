@@ -12,6 +12,7 @@ one in each step are one step older after each reset.
 from __future__ import annotations
 
 import random
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -75,7 +76,8 @@ class Simulation:
     of some ms does; it returns -1 at the end of the simulation. `objects` are those of the devices that
     controllers asked for, and `states` those that supervisors saved, by name. `held_keys` returns the codes
     of the keys that a person holds, the newest first; it is None without a page. `reset_is_due` says that the
-    world is reset at the end of the next basic time step. `on_change` is called after nodes came or went.
+    world is reset at the end of the next basic time step. `on_change` is called after nodes came or went, and
+    `on_restart` with a robot whose controller begins again.
     """
 
     def __init__(self, scene: Scene, span: Span) -> None:
@@ -102,6 +104,8 @@ class Simulation:
         self._sensors: list[Sampled] = []
         self.reset_is_due = False
         self.on_change: list[Callable[[], None]] = []
+        self.on_restart: Callable[[Robot], None] = lambda robot: None
+        self._warnings: set[str] = set()
         self._begin(scene.robots)
 
     def _begin(self, robots: Iterable[Robot]) -> None:
@@ -116,18 +120,31 @@ class Simulation:
         before = self.scene.robots[:]
         self.physics.rebuild(change)
         now = self.scene.robots
-        devices = {device for robot in now for device in robot.devices.values()}
+        self._keep({device for robot in now for device in robot.devices.values()})
+        self._begin(robot for robot in now if robot not in before)
+        self.states.clear()
+        self.__dict__.pop("pictures", None)
+        for call in self.on_change:
+            call()
+
+    def _keep(self, devices: set[Device]) -> None:
+        """Forget the objects of all other devices, and what they measure."""
         self._sensors = [
             sensor
             for sensor in self._sensors
             if not isinstance(sensor, DeviceObject) or sensor._spec in devices
         ]
         self.objects = {device: each for device, each in self.objects.items() if device in devices}
-        self._begin(robot for robot in now if robot not in before)
-        self.states.clear()
-        self.__dict__.pop("pictures", None)
-        for call in self.on_change:
-            call()
+
+    def restart(self, robot: Robot) -> None:
+        """Let the controller of a robot begin again, with devices that are as at the start."""
+        self._keep(self.objects.keys() - robot.devices.values())
+        self.on_restart(robot)
+
+    def warn_once(self, message: str) -> None:
+        if message not in self._warnings:
+            self._warnings.add(message)
+            print(f"Warning: {message}", file=sys.stderr)
 
     # Steps
 
@@ -208,8 +225,7 @@ MAX_DELAY_S = 0.1
 class Pace:
     """The pace of a world. Any thread may change it while the world waits.
 
-    `on_pause` is called in the thread of the world before it stands still. `wants_restart` says that the run
-    is to end, and to start again.
+    `on_pause` is called in the thread of the world before it stands still.
     """
 
     def __init__(self, simulation: Simulation, *, is_fast: bool) -> None:
@@ -218,7 +234,6 @@ class Pace:
         self._changed = threading.Condition()
         self._single_steps = 0
         self.on_pause: Callable[[], None] = lambda: None
-        self.wants_restart = False
         self.run(is_fast=is_fast)
 
     def run(self, *, is_fast: bool) -> None:
@@ -238,12 +253,6 @@ class Pace:
             self._single_steps += 1
             self._changed.notify_all()
 
-    def restart(self) -> None:
-        """Ask for the end of the run, and a new one."""
-        with self._changed:
-            self.wants_restart = True
-            self._changed.notify_all()
-
     def wait(self) -> bool:
         """Wait until the next basic time step may begin; returns whether the world was paused."""
         if self.is_paused:
@@ -259,4 +268,4 @@ class Pace:
         return False
 
     def _may_go_on(self) -> bool:
-        return self._single_steps > 0 or not self.is_paused or self.wants_restart
+        return self._single_steps > 0 or not self.is_paused

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
+from itertools import islice
 from typing import Any
 
-from deepbots_cli.diagnostics.nearest import nearest_word
+from deepbots_cli.diagnostics.nearest import did_you_mean
 from deepbots_webots.devices import device_object
 from deepbots_webots.nodes import text, texts, walk
 from deepbots_webots.scene import DEVICES
 from deepbots_webots.sensors import Sampled, missing_attribute, returns
 from deepbots_webots.simulation import Simulation
-from deepbots_webots.tree import Node, number_of
+from deepbots_webots.tree import Node
 
 _ACTIVE: list[Simulation] = []
 """The simulation that runs in this process; the module `controller` belongs to it."""
@@ -95,8 +96,7 @@ class Robot:
         spec = self._webots_robot.devices.get(name)
         if spec is not None:
             return device_object(self._webots_simulation, spec)
-        near = nearest_word(name, self._webots_robot.devices)
-        hint = f"; did you mean '{near}'?" if near else ""
+        hint = did_you_mean(name, self._webots_robot.devices)
         print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
         return None
 
@@ -165,10 +165,8 @@ class Supervisor(Robot):
         return Node(self._webots_simulation, match)
 
     def getFromId(self, id: int) -> Node | None:
-        for node in walk(self._webots_simulation.scene.nodes):
-            if number_of(self._webots_simulation, node) == id:
-                return Node(self._webots_simulation, node)
-        return None
+        node = next(islice(walk(self._webots_simulation.scene.nodes), max(0, id - 1), None), None)
+        return Node(self._webots_simulation, node) if node is not None and id > 0 else None
 
     def getFromDevice(self, device: Any) -> Node:
         return Node(self._webots_simulation, device._spec.node)

@@ -12,7 +12,6 @@ Files may come from anyone. The reader has limits on size, depth and number, and
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from functools import cached_property
@@ -72,7 +71,6 @@ class WorldFindings:
 
     def __init__(self) -> None:
         self._findings: dict[tuple[str, str], WorldFinding] = {}
-        self._counts: Counter[str] = Counter()
 
     def error(self, span: Span, headline: str, help: Help = "") -> None:
         self._add("error", span, headline, help)
@@ -81,8 +79,8 @@ class WorldFindings:
         self._add("warning", span, headline, help)
 
     def _add(self, severity: Severity, span: Span, headline: str, help: Help) -> None:
-        if self._counts[severity] < MAX_FINDINGS and (severity, headline) not in self._findings:
-            self._counts[severity] += 1
+        count = sum(kind == severity for kind, _ in self._findings)
+        if count < MAX_FINDINGS and (severity, headline) not in self._findings:
             text = help if isinstance(help, str) else help()
             self._findings[severity, headline] = WorldFinding(severity, span, headline, text)
 

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 from deepbots_cli import frames
-from deepbots_cli.frames import Frame, Quaternion, Triple
+from deepbots_cli.frames import Frame, Triple
 from deepbots_cli.records import dataclass
 from deepbots_webots.nodes import (
     axis_angle,
-    boolean,
-    number,
-    numbers,
     parameters,
     real,
     size_of,
-    text,
     turned_about,
     value_of,
     walk,
@@ -139,33 +135,56 @@ class Node(_NodeTypes):
             raise NotImplementedCallError(f"Node.{function} of a part of a body is not implemented")
         return body
 
+    def restartController(self) -> None:
+        """Let the controller of this robot end in its step, and begin again."""
+        robot = next((each for each in self._simulation.scene.robots if each.node is self._real), None)
+        if robot is None:
+            self._refuse("restartController", "Robot")
+        else:
+            self._simulation.restart(robot)
+
+    def _refuse(self, function: str, kind: str) -> None:
+        """Print once that a call has no effect, because the node is of another type. So does Webots."""
+        self._simulation.warn_once(
+            f"Node.{function} of a {self._node.type}, which is no {kind}, has no effect"
+        )
+
     def resetPhysics(self) -> None:
-        self._simulation.physics.stop_body(self._attachment("resetPhysics")[0])
+        attachment = self._simulation.scene.attachments.get(self._real)
+        if attachment is None:
+            self._refuse("resetPhysics", "Solid")
+        else:
+            self._simulation.physics.stop_body(attachment[0])
 
     def addForce(self, force: list[float], relative: bool) -> None:
-        self._push("addForce", force, (0.0, 0.0, 0.0), relative)
+        self._push("addForce", relative, force=force)
 
     def addTorque(self, torque: list[float], relative: bool) -> None:
-        self._push("addTorque", (0.0, 0.0, 0.0), torque, relative)
+        self._push("addTorque", relative, torque=torque)
 
     def addForceWithOffset(self, force: list[float], offset: list[float], relative: bool) -> None:
         """Push at a point that is given in the frame of the node."""
-        x, y, z = map(float, offset)
-        frame = self._frame("addForceWithOffset")
-        point = compose(frame, ((x, y, z), frames.IDENTITY_ROTATION))[0]
-        self._push("addForceWithOffset", force, (0.0, 0.0, 0.0), relative, point)
+        self._push("addForceWithOffset", relative, force=force, offset=offset)
 
     def _push(
-        self, function: str, force: Any, torque: Any, relative: bool, point: Triple | None = None
+        self,
+        function: str,
+        relative: bool,
+        *,
+        force: Sequence[float] = (),
+        torque: Sequence[float] = (),
+        offset: Sequence[float] | None = None,
     ) -> None:
-        body, _ = self._attachment(function)
-        rotation = self._frame(function)[1]
-        fx, fy, fz = map(float, force)
-        tx, ty, tz = map(float, torque)
-        pushed, twisted = (fx, fy, fz), (tx, ty, tz)
+        attachment = self._simulation.scene.attachments.get(self._real)
+        if attachment is None:
+            self._refuse(function, "Solid")
+            return
+        frame = self._simulation.physics.frame(*attachment)
+        pushed, twisted = _triple(force), _triple(torque)
         if relative:
-            pushed, twisted = frames.rotate(rotation, pushed), frames.rotate(rotation, twisted)
-        self._simulation.physics.push(body, pushed, twisted, point)
+            pushed, twisted = frames.rotate(frame[1], pushed), frames.rotate(frame[1], twisted)
+        point = None if offset is None else compose(frame, (_triple(offset), frames.IDENTITY_ROTATION))[0]
+        self._simulation.physics.push(attachment[0], pushed, twisted, point)
 
     def setJointPosition(self, position: float, index: int = 1) -> None:
         """Set the position of the joint that this node is, rad or m."""
@@ -235,24 +254,46 @@ class ContactPoint:
     getNodeId = returns("node_id")
 
 
-def _gets_item(kind: Callable[[Any], Any]) -> Callable[[Field, int], Any]:
-    """Return a method that returns one item of a list."""
-    return lambda field, index: kind(field._items()[index])
+def _accessors(
+    name: str, kind: type[bool | float | str], size: int = 1
+) -> tuple[
+    Callable[[Field], Any],
+    Callable[[Field, Any], None],
+    Callable[[Field, int], Any],
+    Callable[[Field, int, Any], None],
+]:
+    """Return the methods that get and set a value of a type such as `Vec3f`, and an item of a list of such
+    values; `size` is the number of their items. As in Webots, zeros take the place of numbers that are
+    missing."""
+    types = (str,) if kind is str else (float, bool)
 
+    def padded(items: Iterable[Any]) -> list[Any]:
+        return [*map(kind, items), *([kind()] * size)][:size]
 
-def _gets_numbers(size: int) -> Callable[[Field, int], list[float]]:
-    """Return a method that returns an item of some numbers of a list."""
-    return lambda field, index: field._numbers()[size * index : size * index + size]
+    def value(items: Iterable[Item]) -> Any:
+        converted = padded(item for item in items if isinstance(item, types))
+        return converted if size > 1 else converted[0]
 
+    def items_of(value: Any) -> list[Item]:
+        # The numbers of a node are floats, also the whole ones.
+        items = padded(value if size > 1 else [value])
+        return items if kind in (bool, str) else list(map(float, items))
 
-def _sets_value(function: str, items_of: Callable[[Any], Sequence[Item]]) -> Callable[[Field, Any], None]:
-    """Return a method that sets the value of a field of a single value."""
-    return lambda field, value: field._set(function, items_of(value))
+    def get_item(field: Field, index: int) -> Any:
+        start = field._start(f"getMF{name}", index, size)
+        return value(field._items()[start : start + size])
 
+    def set_item(field: Field, index: int, value: Any) -> None:
+        start, items = field._start(f"setMF{name}", index, size), list(field._items())
+        items[start : start + size] = items_of(value)
+        field._set(f"setMF{name}", items, size)
 
-def _sets_item(function: str, items_of: Callable[[Any], Sequence[Item]]) -> Callable[[Field, int, Any], None]:
-    """Return a method that sets one item of a list."""
-    return lambda field, index, value: field._set_item(function, index, items_of(value))
+    return (
+        lambda field: value(field._present()),
+        lambda field, value: field._set(f"setSF{name}", items_of(value), size),
+        get_item,
+        set_item,
+    )
 
 
 class Field:
@@ -299,35 +340,14 @@ class Field:
 
     # Read
 
-    def getSFBool(self) -> bool:
-        return boolean(self._owner, self._name)
-
-    def getSFInt32(self) -> int:
-        return int(self.getSFFloat())
-
-    def getSFFloat(self) -> float:
-        joint = self._joint()
-        if joint is not None:
-            return self._simulation.physics.joint_position(joint)
-        return number(self._owner, self._name)
-
-    def getSFString(self) -> str:
-        if self._name == "customData" and self._real in self._simulation.custom_data:
-            return self._simulation.custom_data[self._real]
-        return text(self._owner, self._name)
-
-    def getSFVec2f(self) -> list[float]:
-        return self._numbers()[:2]
-
-    def getSFVec3f(self) -> list[float]:
-        frame = self._local_frame() if self._name == "translation" else None
-        return self._numbers()[:3] if frame is None else list(frame[0])
-
-    getSFColor = getSFVec3f
-
-    def getSFRotation(self) -> list[float]:
-        frame = self._local_frame() if self._name == "rotation" else None
-        return self._numbers()[:4] if frame is None else axis_angle(frame[1])
+    getSFBool, setSFBool, getMFBool, setMFBool = _accessors("Bool", bool)
+    getSFInt32, setSFInt32, getMFInt32, setMFInt32 = _accessors("Int32", int)
+    getSFFloat, setSFFloat, getMFFloat, setMFFloat = _accessors("Float", float)
+    getSFString, setSFString, getMFString, setMFString = _accessors("String", str)
+    getSFVec2f, setSFVec2f, getMFVec2f, setMFVec2f = _accessors("Vec2f", float, 2)
+    getSFVec3f, setSFVec3f, getMFVec3f, setMFVec3f = _accessors("Vec3f", float, 3)
+    getSFColor, setSFColor, getMFColor, setMFColor = _accessors("Color", float, 3)
+    getSFRotation, setSFRotation, getMFRotation, setMFRotation = _accessors("Rotation", float, 4)
 
     def getSFNode(self) -> Node | None:
         item = next(iter(self._items()), None)
@@ -341,16 +361,28 @@ class Field:
         item = items[index] if -len(items) <= index < len(items) else None
         return Node(self._simulation, item) if isinstance(item, Written) else None
 
-    getMFBool = _gets_item(bool)
-    getMFInt32 = _gets_item(int)
-    getMFFloat = _gets_item(float)
-    getMFString = _gets_item(str)
-    getMFVec2f = _gets_numbers(2)
-    getMFVec3f = getMFColor = _gets_numbers(3)
-    getMFRotation = _gets_numbers(4)
+    def _start(self, function: str, index: int, size: int) -> int:
+        """Return the number of the first item of a value of a list.
 
-    def _numbers(self) -> list[float]:
-        return numbers(self._owner, self._name)
+        Raises:
+            IndexError: The list has no such value.
+        """
+        count = len(self._items()) // size
+        if not -count <= index < count:
+            raise IndexError(f"Field.{function}: {self._name} has {count} items, and no item {index}")
+        return index % count * size
+
+    def _present(self) -> list[Item]:
+        """Return the items of a single value, which are those of now for a pose and the position of a
+        joint."""
+        joint, frame = self._joint(), self._local_frame()
+        if joint is not None:
+            return [self._simulation.physics.joint_position(joint)]
+        if frame is not None:
+            return [*frame[0]] if self._name == "translation" else [*axis_angle(frame[1])]
+        if self._name == "customData" and self._real in self._simulation.custom_data:
+            return [self._simulation.custom_data[self._real]]
+        return self._items()
 
     def _joint(self) -> Joint | None:
         if self._name not in _JOINT_POSITIONS:
@@ -363,41 +395,12 @@ class Field:
         return None
 
     def _local_frame(self) -> Frame | None:
-        """Return the frame of the node in the frame of the node above it, as its fields have it."""
-        scene, physics = self._simulation.scene, self._simulation.physics
-        attachment = scene.attachments.get(self._real)
-        if attachment is None:
-            return None
-        return compose(inverse(self._outer_frame()), physics.frame(*attachment))
-
-    # Set
-
-    def setSFVec3f(self, values: Sequence[float]) -> None:
-        x, y, z = map(float, values)
+        """Return the frame of the node in the frame of the node above it; None if the field is no part of
+        it."""
         attachment = self._simulation.scene.attachments.get(self._real)
-        if self._name == "translation" and attachment is not None:
-            self._move("setSFVec3f", (x, y, z), None)
-        else:
-            self._set("setSFVec3f", [x, y, z])
-
-    def setSFRotation(self, values: Sequence[float]) -> None:
-        x, y, z, angle = map(float, values)
-        if self._name != "rotation" or self._real not in self._simulation.scene.attachments:
-            self._set("setSFRotation", [x, y, z, angle])
-            return
-        if x == y == z == 0:
-            raise ValueError("setSFRotation(): the axis is zero")
-        self._move("setSFRotation", None, turned_about(x, y, z, angle))
-
-    def _move(self, function: str, position: Triple | None, rotation: Quaternion | None) -> None:
-        """Move a solid that stands alone in the world."""
-        scene, physics = self._simulation.scene, self._simulation.physics
-        body, _ = scene.attachments[self._real]
-        local = self._local_frame()
-        if body.node is not self._real or body.parent is not None or local is None:
-            raise self._unset(function)
-        frame = position or local[0], rotation or local[1]
-        physics.place(body, compose(self._outer_frame(), frame))
+        if attachment is None or self._name not in ("translation", "rotation"):
+            return None
+        return compose(inverse(self._outer_frame()), self._simulation.physics.frame(*attachment))
 
     def _outer_frame(self) -> Frame:
         """Return the frame in the world in which the fields of the node are."""
@@ -405,34 +408,48 @@ class Field:
         body, frame = scene.around(scene.parents.get(self._real))
         return frame if body is None else self._simulation.physics.frame(body, frame)
 
-    def setSFFloat(self, value: float) -> None:
-        joint = self._joint()
+    # Set
+
+    def _set(self, function: str, items: Sequence[Any], size: int) -> None:
+        """Set the value of a field that physics, a device or nothing but looks depends on."""
+        simulation, physics = self._simulation, self._simulation.physics
+        if size != size_of(self.getTypeName()):
+            raise self._unset(function)
+        joint, frame = self._joint(), self._local_frame()
         if joint is not None:
-            self._simulation.physics.set_joint_position(joint, float(value))
+            physics.set_joint_position(joint, float(items[0]))
+        elif frame is not None:
+            self._move(function, frame, list(map(float, items)))
+        elif self._name == "customData" and self._real in simulation.custom_data:
+            simulation.custom_data[self._real] = str(items[0])
         elif self._name == "gravity" and self._real.type == "WorldInfo":
-            self._simulation.physics.set_gravity(float(value))
-            self._keep([float(value)])
+            physics.set_gravity(float(items[0]))
+            self._keep(items)
+        elif self._real.type in _RENEWED | _LOOKS or self._name in _LABELS:
+            self._keep(items)
+            if self._real.type in _MOTORS:
+                physics.motors.read(self._real)
+            for spec, device in simulation.objects.items():
+                if spec.node is self._real:
+                    device.renew()
         else:
-            self._set("setSFFloat", [float(value)])
+            raise self._unset(function)
 
-    def setSFString(self, value: str) -> None:
-        if self._name == "customData" and self._real in self._simulation.custom_data:
-            self._simulation.custom_data[self._real] = str(value)
+    def _move(self, function: str, frame: Frame, values: Sequence[float]) -> None:
+        """Move a solid that stands alone in the world from its frame, to a place or to an angle about an
+        axis."""
+        body, _ = self._simulation.scene.attachments[self._real]
+        if body.node is not self._real or body.parent is not None:
+            raise self._unset(function)
+        x, y, z = values[:3]
+        if self._name == "translation":
+            frame = (x, y, z), frame[1]
+        elif x == y == z == 0:
+            print(f"Error: Field.{function}: the axis is zero, so the call is ignored", file=sys.stderr)
+            return
         else:
-            self._set("setSFString", [str(value)])
-
-    setSFBool = _sets_value("setSFBool", lambda value: [bool(value)])
-    setSFInt32 = _sets_value("setSFInt32", lambda value: [float(int(value))])
-    setSFVec2f = _sets_value("setSFVec2f", lambda values: list(map(float, values)))
-    setSFColor = _sets_value("setSFColor", lambda values: list(map(float, values)))
-    setMFBool = _sets_item("setMFBool", lambda value: [bool(value)])
-    setMFInt32 = _sets_item("setMFInt32", lambda value: [float(int(value))])
-    setMFFloat = _sets_item("setMFFloat", lambda value: [float(value)])
-    setMFString = _sets_item("setMFString", lambda value: [str(value)])
-    setMFVec2f = _sets_item("setMFVec2f", lambda values: _padded(values, 2))
-    setMFVec3f = _sets_item("setMFVec3f", lambda values: _padded(values, 3))
-    setMFColor = _sets_item("setMFColor", lambda values: _padded(values, 3))
-    setMFRotation = _sets_item("setMFRotation", lambda values: _padded(values, 4))
+            frame = frame[0], turned_about(x, y, z, values[3])
+        self._simulation.physics.place(body, compose(self._outer_frame(), frame))
 
     # Nodes that come and go
 
@@ -468,36 +485,13 @@ class Field:
         self._keep([other for other in items if other is not item])
         self._simulation.change(lambda: remove_node(scene, item))
 
-    def _set_item(self, function: str, index: int, items: Sequence[Item]) -> None:
-        """Set one item of a list, which takes several numbers."""
-        size, now = len(items), list(self._items())
-        count = len(now) // size
-        if not -count <= index < count:
-            raise IndexError(f"Field.{function}: {self._name} has {count} items, and no item {index}")
-        start = (index % count) * size
-        now[start : start + size] = items
-        self._set(function, now)
-
-    def _set(self, function: str, items: Sequence[Item]) -> None:
-        """Set the value of a field that a device reads again, or that only looks depend on."""
-        is_device = self._real.type in _RENEWED
-        is_seen = self._real.type in _LOOKS or self._name in _LABELS
-        if not (is_device or is_seen):
-            raise self._unset(function)
-        self._keep(items)
-        if self._real.type in _MOTORS:
-            self._simulation.physics.motors.read(self._real)
-        for spec, device in self._simulation.objects.items():
-            if spec.node is self._real:
-                device.renew()
-
     def _keep(self, items: Sequence[Item]) -> None:
         """Write the value into the node."""
         before = value_of(self._owner, self._name)
         self._owner.fields[self._name] = Value(before.span, list(items), before.in_brackets)
 
 
-_JOINT_POSITIONS = ("position", "position2", "position3")
+_JOINT_POSITIONS = ("position", "position2")
 """The fields of a joint with the positions of its axes."""
 _FIELD_TYPES = ("Bool", "Int32", "Float", "Vec2f", "Vec3f", "Rotation", "Color", "String", "Node")
 _MOTORS = frozenset({"RotationalMotor", "LinearMotor"})
@@ -514,9 +508,9 @@ _LABELS = frozenset({"model", "description", "recognitionColors", "info", "title
 """Fields that only supervisors read."""
 
 
-def _padded(values: Sequence[float], size: int) -> list[float]:
-    """Return numbers padded with zeros, because Webots accepts too few of them."""
-    return [*map(float, values), *([0.0] * size)][:size]
+def _triple(values: Sequence[float]) -> Triple:
+    x, y, z = (*map(float, values), 0.0, 0.0, 0.0)[:3]
+    return x, y, z
 
 
 def number_of(simulation: Simulation, node: Written) -> int:

@@ -1,4 +1,4 @@
-"""The page of a world that runs: its bodies in the browser, time, the output of controllers, and keys.
+"""The page of a world that runs: its bodies in the browser, time and keys.
 
 The world does not wait for the page: the thread of the world leaves the poses of the bodies up to 30 times a
 second, and a thread of the page sends them while a browser shows it.
@@ -6,10 +6,8 @@ second, and a thread of the page sends them while a browser shows it.
 
 from __future__ import annotations
 
-import html
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from math import atan, tan
 from types import TracebackType
@@ -22,7 +20,7 @@ from deepbots_cli.frames import Frame
 from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.port import View
 from deepbots_cli.view import server
-from deepbots_cli.view.panel import heading, hint, notice, set_theme
+from deepbots_cli.view.panel import hint, notice, set_theme
 from deepbots_cli.view.playback import RELEASE_TIMEOUT_S, Axes, Keys
 from deepbots_cli.view.scene import (
     MAX_CELLS,
@@ -38,10 +36,6 @@ from deepbots_webots.simulation import Pace, Simulation
 
 FRAME_RATE = 30
 """Pictures per second of real time."""
-_FRAMES_PER_TEXT = 6
-_SPEED_INTERVAL_S = 0.5
-_MAX_LINES, _MAX_CHARACTERS, _MAX_ROBOTS = 8, 200, 10
-"""What the page shows of the output: lines of each robot, characters of a line, and robots."""
 _FAREWELL_S = 0.3  # s; the time in which a browser gets the last picture
 _DEFAULT_PLANE_M = 100.0
 
@@ -80,67 +74,44 @@ class HeldKeys:
 class Viewer:
     """Serves a world: a context manager, and a function to call after each step. `address` is its URL."""
 
-    def __init__(
-        self,
-        simulation: Simulation,
-        pace: Pace,
-        title: str,
-        host: str,
-        port: int | None,
-        *,
-        can_restart: bool = False,
-    ) -> None:
-        """Start the server, and show the world as it is now. A button asks the pace for a restart, if the
-        run `can_restart`.
+    def __init__(self, simulation: Simulation, pace: Pace, title: str, host: str, port: int | None) -> None:
+        """Start the server, and show the world as it is now.
 
         Raises:
             UsageError: The host is unknown, or the port is in use.
             MissingExtraError: viser is not installed.
         """
-        self._title, self._can_restart = title, can_restart
-        self._top = "/world"
-        """The node of the world. A browser keeps the poses of nodes whose names return."""
+        self._simulation, self._pace = simulation, pace
+        self._viewpoint = Viewpoint(simulation)
         self._keys = HeldKeys()
         self._server, self.address = server.serve(
             host, port, f"deepbots {title}", self._keys.hold, needs_token=True, sent_key=_SENT_KEY
         )
         try:
-            self._open(simulation, pace)
+            self._add_panel(title)
+            self._build("/world")
         except BaseException:
             server.stop(self._server)
             raise
-
-    def _open(self, simulation: Simulation, pace: Pace) -> None:
-        self._simulation, self._pace = simulation, pace
-        self._viewpoint = Viewpoint(simulation)
-        self._lines: dict[str, deque[str]] = {}
-        self._build(self._title)
         simulation.held_keys = self._keys.codes
-        if self._note_change not in simulation.on_change:
-            simulation.on_change.append(self._note_change)
-        self._is_stale = False
+        simulation.on_change.append(self._note_change)
         pace.on_pause = self._read
-        self._ended = threading.Event()
+        self._is_stale = False
+        self._drawing, self._ended = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
     def __enter__(self) -> Viewer:
         self._thread.start()
         return self
 
-    def show(self, simulation: Simulation, pace: Pace) -> None:
-        """Show another world in place of the present one, which has ended."""
-        self._ended.set()
-        self._thread.join()
-        self._top += "'"
-        self._server.scene.reset()
-        self._server.gui.reset()
-        self._open(simulation, pace)
-        self._thread.start()
-
     def __call__(self) -> None:
         """Leave the poses for the page, if it is time for a picture."""
         if self._is_stale:
-            self.show(self._simulation, self._pace)
+            with self._drawing:
+                self._server.scene.reset()
+                # A browser keeps the poses of nodes whose names return.
+                self._build(self._root.name + "'")
+            self._is_stale = False
         if time.monotonic() >= self._due or self._pace.is_paused:
             self._read()
 
@@ -161,32 +132,27 @@ class Viewer:
             time.sleep(_FAREWELL_S)
         server.stop(self._server)
 
-    def print_line(self, robot: str, line: str) -> None:
-        """Show a line that the controller of a robot prints."""
-        lines = self._lines.setdefault(robot, deque(maxlen=_MAX_LINES))
-        lines.append(line[:_MAX_CHARACTERS])
-
     # The scene
 
-    def _build(self, title: str) -> None:
+    def _build(self, top: str) -> None:
+        """Show the shapes of the world, in nodes below a node of this name."""
         scene, world = self._server.scene, self._simulation.scene
-        self._root = scene.add_frame(self._top, show_axes=False)
-        self._nodes = [scene.add_frame(f"{self._top}/{body.index}", show_axes=False) for body in world.bodies]
+        self._root = scene.add_frame(top, show_axes=False)
+        self._nodes = [scene.add_frame(f"{top}/{body.index}", show_axes=False) for body in world.bodies]
         for number, visual in enumerate(world.visuals):
             shape = visible_shape(visual, world.files)
             if shape is not None:
-                above = self._top if visual.body is None else f"{self._top}/{visual.body.index}"
+                above = top if visual.body is None else f"{top}/{visual.body.index}"
                 self._add(
                     f"{above}/shape{number}", shape, look_of(visual.node, world.files).color, visual.frame
                 )
         sky = sky_color(world.nodes)
-        pixel = None if sky is None else np.full((1, 1, 3), np.multiply(sky, 255), np.uint8)
-        scene.set_background_image(pixel)  # None removes that of a world before a restart
+        if sky is not None:
+            scene.set_background_image(np.full((1, 1, 3), np.multiply(sky, 255), np.uint8))
         self._sent = np.full((len(self._nodes), 7), np.nan)
         self._read()
         self._draw()
         self._aim()
-        self._add_panel(title)
 
     def _add(self, name: str, shape: Shape, color: Any, frame: Frame) -> None:
         import trimesh
@@ -235,33 +201,12 @@ class Viewer:
             "time", tuple(acts), hint="pause; one basic time step; at the pace of a clock; as fast as it can"
         )
         buttons.on_click(lambda event: acts[event.target.value]())
-        if self._can_restart:
-            restart = gui.add_button(
-                "restart", hint="end all controllers, read the files again, and start again"
-            )
-            restart.on_click(lambda _: pace.restart())
         gui.add_html(hint("Keys that you press on this page are those of each Keyboard."))
-        self._output = gui.add_html("")
-        self._speed, self._since = 0.0, (time.monotonic(), self._simulation.ticks)
 
     def _write(self, state: str) -> None:
-        """Write the state of the run, and what the controllers printed."""
-        simulation, now = self._simulation, time.monotonic()
-        seconds = now - self._since[0]
-        if seconds >= _SPEED_INTERVAL_S:
-            self._speed = (simulation.ticks - self._since[1]) / 1000 / seconds
-            self._since = now, simulation.ticks
-        # An empty line would move the buttons below it while a person presses one.
-        speed = f"{self._speed:.2g} times real time" if state == "running" else "&nbsp;"
-        self._state.content = notice(
-            state, f"{simulation.time / 1000:.3f} s of simulated time<br>{speed}", "#0072B2"
-        )
-        printed = list(self._lines.items())
-        output = "".join(_lines_of(name, list(lines)) for name, lines in printed[:_MAX_ROBOTS])
-        if len(printed) > _MAX_ROBOTS:
-            output += hint(f"and {len(printed) - _MAX_ROBOTS} more robots")
-        if output != self._output.content:
-            self._output.content = output
+        """Write the state of the run."""
+        seconds = self._simulation.time / 1000
+        self._state.content = notice(state, f"{seconds:.3f} s of simulated time", "#0072B2")
 
     # While the world runs
 
@@ -271,13 +216,11 @@ class Viewer:
         self._poses, self._moved = self._simulation.physics.poses(), self._viewpoint.moved()
 
     def _serve(self) -> None:
-        drawn = 0
         while not self._ended.wait(1 / FRAME_RATE):
             if self._server.get_clients():
-                self._draw()
-                if drawn % _FRAMES_PER_TEXT == 0:
-                    self._write("paused" if self._pace.is_paused else "running")
-                drawn += 1
+                with self._drawing:
+                    self._draw()
+                self._write("paused" if self._pace.is_paused else "running")
 
     def _draw(self) -> None:
         """Send the poses that have changed. The world moves, and not the camera, which belongs to a
@@ -288,10 +231,3 @@ class Viewer:
                 self._nodes[row].position, self._nodes[row].wxyz = poses[row, :3], poses[row, 3:]
             self._root.position = (-x, -y, -z)
         self._sent = poses
-
-
-def _lines_of(robot: str, lines: list[str]) -> str:
-    """Return the lines that the controller of a robot printed, as HTML."""
-    style = "margin:0 1.2em;white-space:pre-wrap;overflow-wrap:anywhere;font-size:0.75em"
-    text = html.escape("\n".join(lines))
-    return f"{heading(robot)}<pre style='{style}'>{text}</pre>"

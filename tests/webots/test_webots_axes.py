@@ -11,6 +11,7 @@ import pytest
 from deepbots_webots.imports.draft import read_project
 from deepbots_webots.project import equivalents
 from deepbots_webots.scene import build_scene
+from deepbots_webots.shapes import visible_shape
 from deepbots_webots.simulation import Simulation
 from deepbots_webots.syntax import WorldError
 from tests.webots.exported_projects import device, node, read, run, solid, turning
@@ -115,13 +116,6 @@ TURNED = "rotation 0 1 0 0.3"
     [
         ("", "Accelerometer { }", "", lambda sensor: sensor.getValues(), [0, 9.81, 0]),
         ("", "Compass { }", "", lambda sensor: sensor.getValues(), [1, 0, 0]),
-        (
-            "translation 1 2 3",
-            'Altimeter { name "s" translation 0 0.5 0 }',
-            "",
-            lambda sensor: sensor.getValue(),
-            2.5,
-        ),
         ("translation 1 2 3", "GPS { }", "", lambda sensor: sensor.getValues(), [1, 2, 3]),
         ("rotation 1 0 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0.3, 0, 0]),
         ("rotation 0 1 0 0.3", "InertialUnit { }", "", lambda unit: unit.getRollPitchYaw(), [0, 0, 0.3]),
@@ -218,7 +212,7 @@ def test_all_protos_of_the_library_move_finitely_in_the_axes_of_their_file(relea
     run(simulation, 0.8)  # 100 steps, each of which checks that all velocities are finite
     robots = [body for body in simulation.scene.bodies if body.robot is not None and body.parent is None]
     heights = [simulation.physics.position(body)[1 if release == OLD else 2] for body in robots]
-    assert len(robots) == 24
+    assert len(robots) == 25
     assert min(heights) > -0.01
 
 
@@ -243,3 +237,61 @@ def test_a_template_of_the_project_gives_way_to_an_equivalent(tmp_path):
     (tmp_path / "protos" / "arenas" / "Floor.proto").write_text(template)
     (warning,) = read("Floor { }", tmp_path).findings
     assert (warning.severity, warning.help) == ("warning", "its equivalent takes its place")
+
+
+def test_a_car_of_an_older_file_looks_along_z_with_its_sensors():
+    """Before R2022a, cars drive along z, and their slots turn a camera, which looks along -z, away from the car."""
+    slots = (f'sensorsSlot{end} [ GPS {{ name "{end}" translation 0 0 -1 }} ]' for end in ("Front", "Rear"))
+    simulation = simulate(f"BmwX5 {{ translation 0 0.4 0 {' '.join(slots)} }}")
+    front, rear = device(simulation, "Front"), device(simulation, "Rear")
+    front.enable(8)
+    rear.enable(8)
+    simulation.run_step()
+    assert front.getValues() == pytest.approx([0, 0.85, 4.85], abs=0.01)
+    assert rear.getValues() == pytest.approx([0, 0.7, -2], abs=0.01)
+
+
+def test_a_create_turns_in_place_feels_a_wall_with_both_bumpers_and_sees_the_floor():
+    text = f"{FLOOR} DEF ROBOT Create {{ }} Solid {{ translation 0.4 0 0 boundingObject Box {{ size 0.1 2 2 }} }}"
+    simulation = simulate(text, NEW)
+    sensors = [
+        device(simulation, f"{kind}_{side}") for kind in ("bumper", "cliff") for side in ("left", "right")
+    ]
+    for sensor in sensors:
+        sensor.enable(8)
+    turning(simulation, -4, "left wheel motor")
+    turning(simulation, 4, "right wheel motor")
+    run(simulation, 1)
+    turned = node(simulation, "ROBOT").getField("rotation").getSFRotation()[3]
+    assert turned == pytest.approx(2 * 4 * 0.031 / 0.271756, rel=0.05)
+    assert [sensor.getValue() for sensor in sensors[:2]] == [0, 0]
+    assert all(700 < sensor.getValue() < 900 for sensor in sensors[2:])
+    turning(simulation, 4, "left wheel motor")
+    turning(simulation, -4, "right wheel motor")
+    run(simulation, 1)
+    for side in ("left", "right"):
+        turning(simulation, 8, f"{side} wheel motor")
+    touched = [False, False]
+    for _ in range(250):
+        simulation.run_step()
+        touched = [was or bool(sensor.getValue()) for was, sensor in zip(touched, sensors, strict=False)]
+    assert touched == [True, True]
+
+
+def test_plain_equivalents_are_boxes():
+    world = read(
+        """ConveyorBelt { size 1 0.4 0.6 borderThickness 0.1 } E-puck { turretSlot [ Pi-puck { } ] }
+        Solid { children [ Shape { geometry Rectangle { size 1 0.1 } } ] } Background { cubemap Cubemap { textureBaseName "x" } }"""
+    )
+    scene = build_scene(world)
+    assert not [*world.findings]
+    assert scene.bodies[0].geometries[0].shape.size == pytest.approx((1.2, 0.6, 0.6))
+    assert visible_shape(scene.visuals[-1], world.files).size == (1, 0.1, 0.001)
+
+
+def test_worlds_of_cities_load_with_plain_signs_and_buildings():
+    names = sorted(equivalents() & {"StopSign", "GenericTrafficLight", "Hotel", "Oak", "PedestrianCrossing"})
+    assert len(names) == 5
+    world = read("\n".join(f"{name} {{ size 2 7 }}" for name in names))
+    build_scene(world)
+    assert {finding.severity for finding in world.findings} == {"warning"}

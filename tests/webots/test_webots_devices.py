@@ -1,17 +1,14 @@
 """Devices of worlds against closed forms.
 
-Light sensors, rotating lidars and ball joints of worlds against closed forms.
+Motors, sensors, messages and recognition.
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from dataclasses import dataclass
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
 
 from tests.webots.exported_projects import (
     FLOOR,
@@ -179,7 +176,6 @@ def test_a_position_sensor_reads_its_joint():
     assert sensor.getValue() == pytest.approx(2 * 0.8, rel=1e-3)
     assert sensor.getMotor() is motor
     assert motor.getPositionSensor() is sensor
-    assert motor.getBrake() is None
 
 
 # Motors
@@ -236,68 +232,29 @@ def test_a_motor_ignores_a_wrong_call_with_an_error_and_the_run_goes_on(
     assert node(simulation, "ROD").getVelocity()[4] == 0
 
 
-@dataclass
-class ReferenceMotor:
-    """A motor by the reference manual of Webots: its mode, its limits, and what it asks of the joint."""
-
-    target: float = 0.0
-    velocity: float = 10.0
-    available: float = 10.0
-    torque: float | None = None
-
-    def call(self, name: str, value: float) -> None:
-        match name:
-            case "setPosition":
-                self.torque = None
-                self.target = value if math.isinf(value) else max(-1.0, min(value, 2.0))
-            case "setVelocity" if value >= 0 or math.isinf(self.target):
-                self.velocity = max(-10.0, min(value, 10.0))
-            case "setAvailableTorque" | "setAvailableForce" if value >= 0:
-                self.available = min(value, 10.0)
-            case "setTorque" | "setForce" if not math.isnan(value):
-                self.torque = max(-self.available, min(value, self.available))
-
-    def change(self, position: float, velocity: float, time: float, inertia: float) -> float:
-        """Return by how much the velocity of a free joint changes in a basic time step."""
-        if self.torque is not None:
-            return self.torque * time / inertia
-        command = self.velocity
-        if not math.isinf(self.target):
-            command = 10.0 * (self.target - position)
-            command = math.copysign(min(abs(command), abs(self.velocity)), command)
-        most = self.available * time / inertia
-        return max(-most, min(command - velocity, most))
-
-
-_CALLS = st.one_of(
-    st.tuples(st.just("setPosition"), st.sampled_from([math.inf, -math.inf]) | st.floats(-3, 3)),
-    st.tuples(st.just("setVelocity"), st.floats(-12, 12)),
-    st.tuples(st.sampled_from(["setTorque", "setForce"]), st.just(math.nan) | st.floats(-12, 12)),
-    st.tuples(st.sampled_from(["setAvailableTorque", "setAvailableForce"]), st.floats(-2, 12)),
+@pytest.mark.parametrize(
+    ("calls", "state", "speed"),
+    [
+        # The torque of 10 N m accelerates to the velocity of 3 rad/s, whose sign is that of the way left.
+        (
+            [("setPosition", math.inf), ("setVelocity", -3), ("setPosition", 1)],
+            (1, -3, 10),
+            10 * 0.04 / ROD_INERTIA,
+        ),
+        # A torque acts until the next position, and no available torque above it counts.
+        ([("setTorque", 0.7), ("setVelocity", 3)], (0, 3, 10), 0.7 * 0.04 / ROD_INERTIA),
+        ([("setAvailableTorque", 0.2), ("setForce", 5)], (0, 10, 0.2), 0.2 * 0.04 / ROD_INERTIA),
+        ([("setTorque", 0.7), ("setAvailableForce", 12), ("setPosition", 0)], (0, 10, 10), 0),
+    ],
 )
-
-
-@given(st.lists(_CALLS, min_size=1, max_size=8))
-@example([("setPosition", math.inf), ("setVelocity", -3.0), ("setPosition", 1.0)])
-@example([("setTorque", 0.7), ("setVelocity", 3.0)])
-@example([("setAvailableTorque", 0.2), ("setTorque", 5.0)])
-@settings(max_examples=60, deadline=None, derandomize=True)
-def test_a_motor_obeys_any_calls_as_the_manual_of_webots_says(calls: list[tuple[str, float]]):
-    text = hinge(devices="RotationalMotor { minPosition -1 maxPosition 2 } PositionSensor { }")
-    simulation = simulate(text, gravity=0)
-    motor, rod = device(simulation, "rotational motor"), node(simulation, "ROD")
-    joint = node(simulation, "JOINT").getField("position")
-    reference = ReferenceMotor()
+def test_a_motor_is_in_the_mode_of_its_last_calls(calls: list, state: tuple, speed: float):
+    simulation = simulate(hinge(devices="RotationalMotor { minPosition -1 maxPosition 2 }"), gravity=0)
+    motor = device(simulation, "rotational motor")
     for name, value in calls:
         getattr(motor, name)(value)
-        reference.call(name, value)
-        limits = motor.getTargetPosition(), motor.getVelocity(), motor.getAvailableTorque()
-        assert limits == (reference.target, reference.velocity, reference.available)
-        for _ in range(5):
-            position, velocity = joint.getSFFloat(), rod.getVelocity()[4]
-            simulation.run_step()
-            expected = reference.change(position, velocity, 0.008, ROD_INERTIA)
-            assert rod.getVelocity()[4] - velocity == pytest.approx(expected, rel=0.02, abs=1e-5)
+    assert (motor.getTargetPosition(), motor.getVelocity(), motor.getAvailableTorque()) == state
+    run(simulation, 0.04)
+    assert node(simulation, "ROD").getVelocity()[4] == pytest.approx(speed, rel=0.02, abs=1e-5)
 
 
 # Surroundings
@@ -521,15 +478,13 @@ def test_strength_and_direction_are_those_of_the_emitter():
         ("range 4.99", "", 0),
         ('type "infra-red"', "", 0),
         ('type "infra-red"', 'type "infra-red"', 1),
-        ('type "infra-red" aperture 1 rotation 0 0 1 0.9273', 'type "infra-red"', 1),
-        ('type "infra-red" aperture 1', 'type "infra-red"', 0),
         ("bufferSize 4", "", 0),
         ("bufferSize 5", "", 1),
         ("", "bufferSize 4", 0),
         ("", "bufferSize 5", 1),
     ],
 )
-def test_a_message_arrives_where_channel_range_and_cone_allow(emitter: str, receiver: str, count: int):
+def test_a_message_arrives_where_channel_and_range_allow(emitter: str, receiver: str, count: int):
     assert exchange(emitter, receiver)[0].getQueueLength() == count
 
 
@@ -581,7 +536,6 @@ def irradiance(lights: str, fields: str = "") -> float:
 
 DIRECTED = "DirectionalLight { direction %s intensity 30 %s }"
 POINT = "PointLight { attenuation 0.5 0.2 0.1 location 3 4 0 intensity 100 }"
-SPOT = """SpotLight { location 2 0 0 direction %r %r 0 beamWidth 0.3 cutOffAngle 0.4 intensity 50 }"""
 SHADED = (
     DIRECTED % ("-1 0 0", "ambientIntensity 0.5")
     + "Solid { translation 1 0 0 boundingObject Box { size 0.1 1 1 } }"
@@ -607,10 +561,6 @@ SHADED = (
             "",
             8 / 2.0**2,
             id="no ambient part with an attenuation",
-        ),
-        *(
-            pytest.param(SPOT % (-math.cos(angle), math.sin(angle)), "", 50 * share, id=f"spot at {angle}")
-            for angle, share in ((0.2, 1.0), (0.35, 0.5), (0.45, 0.0))
         ),
         pytest.param(SHADED, "", 30.5, id="a wall without occlusion"),
         pytest.param(SHADED, "occlusion TRUE", 0.5, id="a wall"),
@@ -646,18 +596,6 @@ def test_a_rotating_lidar_measures_what_it_passes():
     image = lidar.getRangeImage()
     assert image[15] == pytest.approx(1 / math.cos(11 * angle), rel=1e-3)
     assert (image[20:30], image[39]) == ([math.inf] * 10, pytest.approx(image[0]))
-
-
-def test_the_frequency_of_a_lidar_is_limited(capsys):
-    simulation = simulate(ROOM + LIDAR, step=8)
-    lidar = device(simulation, "lidar")
-    lidar.setFrequency(12.5)
-    lidar.enable(40)
-    run(simulation, 0.04)
-    assert [value > 0 for value in lidar.getRangeImage()] == [True] * 20 + [False] * 20
-    lidar.setFrequency(60)
-    assert lidar.getFrequency() == lidar.getMaxFrequency() == 50
-    assert "outside 1 .. 50" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("projection", ['projection "planar"', "spherical FALSE"])
@@ -726,56 +664,3 @@ def test_a_recognized_object_has_its_place_in_space_and_in_the_picture():
 )
 def test_a_camera_recognizes_what_its_fields_allow(world: str, fields: str, models: list[str]):
     assert [each.model for each in recognized(world, fields)] == models
-
-
-# Ball joints
-
-BALL = """DEF ROBOT Robot { children [ DEF JOINT BallJoint {
-  jointParameters DEF FIRST BallJointParameters { %s }
-  device [ RotationalMotor { name "one" maxTorque 100 } PositionSensor { name "angle one" } ]
-  device2 [ RotationalMotor { name "two" maxTorque 100 } PositionSensor { name "angle two" } ]
-  device3 [ RotationalMotor { name "three" maxTorque 100 } PositionSensor { name "angle three" } ]
-  endPoint DEF END Solid { boundingObject Box { size 0.2 0.3 0.4 } physics Physics { density -1 mass 1 } }
-} ] }"""
-
-
-def world_after_turns(angles: dict[str, float], parameters: str = ""):
-    """Return the world after its motors reached positions, about x, y and z in turn."""
-    simulation = simulate(BALL % parameters, gravity=0)
-    for name, angle in angles.items():
-        device(simulation, name).setPosition(angle)
-        device(simulation, f"angle {name}").enable(8)
-    run(simulation, 1.2)
-    return simulation
-
-
-def test_three_motors_turn_a_ball_joint_about_its_axes_in_turn():
-    a, b, c = 0.5, 0.3, -0.7
-    simulation = world_after_turns({"one": a, "two": b, "three": c})
-    readings = [device(simulation, f"angle {name}").getValue() for name in ("one", "two", "three")]
-    assert readings == pytest.approx([a, b, c], abs=1e-3)
-    matrix = node(simulation, "END").getOrientation()
-    # Rx(a) Ry(b) Rz(c): its last column is (sin b, -sin a cos b, cos a cos b), its first row begins so.
-    assert matrix[2::3] == pytest.approx(
-        [math.sin(b), -math.sin(a) * math.cos(b), math.cos(a) * math.cos(b)], abs=2e-3
-    )
-    assert matrix[:2] == pytest.approx([math.cos(b) * math.cos(c), -math.cos(b) * math.sin(c)], abs=2e-3)
-
-
-def test_the_stop_of_a_ball_joint_stops_its_first_axis():
-    simulation = world_after_turns({}, "minStop -0.4 maxStop 0.4")
-    motor = device(simulation, "one")
-    motor.setAvailableTorque(1)
-    motor.setPosition(0.9)
-    device(simulation, "angle one").enable(8)
-    run(simulation, 1)
-    assert device(simulation, "angle one").getValue() == pytest.approx(0.4, abs=0.02)
-    assert motor.getPositionSensor() is device(simulation, "angle one")
-
-
-def test_a_supervisor_reads_and_sets_the_positions_of_a_ball_joint():
-    simulation = world_after_turns({})
-    joint = node(simulation, "JOINT")
-    joint.setJointPosition(0.2, 3)
-    assert joint.getField("position3").getSFFloat() == pytest.approx(0.2)
-    assert joint.getField("position2").getSFFloat() == pytest.approx(0.0)

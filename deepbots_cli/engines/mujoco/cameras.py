@@ -42,6 +42,7 @@ UNAVAILABLE_MESSAGE = (
 )
 
 
+_RANGE = NEAR_CLIP_M, FAR_CLIP_M
 OPEN_RENDERERS: WeakSet[Any] = WeakSet()  # closed at the end of the process
 
 
@@ -82,12 +83,10 @@ def opens_context() -> bool:
     return True
 
 
-class WorldRenderer:
-    """Draws one world; nothing is built before the first picture."""
+class Renderers:
+    """The renderers of a model, by the width and height of their pictures."""
 
-    def __init__(self, world: WorldModel, state: MujocoWorld) -> None:
-        self._world = world
-        self._state = state
+    def __init__(self) -> None:
         self._model: Any = None
         self._renderers: dict[tuple[int, int], Any] = {}
         OPEN_RENDERERS.add(self)
@@ -97,17 +96,45 @@ class WorldRenderer:
             renderer.close()
         self._renderers.clear()
 
+    def renderer(self, width: int, height: int) -> Any:
+        """Return the renderer of a size. MuJoCo refuses one that is larger than the framebuffer of the
+        model."""
+        if (width, height) not in self._renderers:
+            self._model.vis.global_.offwidth, self._model.vis.global_.offheight = width, height
+            self._renderers[width, height] = mj.Renderer(self._model, height, width)
+        return self._renderers[width, height]
+
+
+def aim(renderer: Any, eye: Triple, ahead: Any, up: Any, range: tuple[float, float], slope: float) -> None:
+    """Let a renderer look ahead within a range (m); `slope` is the tangent of half the vertical field of view."""
+    for camera in renderer.scene.camera:  # one for each eye; a picture is from between them
+        camera.pos = eye
+        camera.forward = ahead
+        camera.up = up
+        camera.frustum_center = 0.0
+        camera.frustum_top = range[0] * slope
+        camera.frustum_bottom = -camera.frustum_top
+        camera.frustum_width = 0.0  # MuJoCo then takes the aspect of the picture
+        camera.frustum_near, camera.frustum_far = range
+
+
+class WorldRenderer(Renderers):
+    """Draws one world; nothing is built before the first picture."""
+
+    def __init__(self, world: WorldModel, state: MujocoWorld) -> None:
+        super().__init__()
+        self._world = world
+        self._state = state
+
     def render_view(self, view: View) -> Image:
         ahead = np.subtract(view.target, view.eye)
         ahead = ahead / np.linalg.norm(ahead)
         left = np.cross((0.0, 0.0, 1.0), ahead)
         length = np.linalg.norm(left)
         left = left / length if length > 1e-9 else np.array((0.0, 1.0, 0.0))
-        width = view.width * view.samples
-        height = view.height * view.samples
         samples = view.samples
-        renderer = self._renderer_of_size(width, height)
-        self._aim(renderer, view.eye, ahead, np.cross(ahead, left), view.fov)
+        renderer = self._renderer_of_size(view.width * samples, view.height * samples)
+        aim(renderer, view.eye, ahead, np.cross(ahead, left), _RANGE, tan(view.fov / 2))
         self._cast_shadows(renderer, view)
         self._lay_tiles(renderer)
         fine = renderer.render()
@@ -143,12 +170,13 @@ class WorldRenderer:
     ) -> CameraImage:
         eye, rotation = frames.compose(pose(), mount)
         renderer = self._renderer_of_size(width, height)
-        self._aim(
+        aim(
             renderer,
             eye,
             frames.rotate(rotation, (1.0, 0.0, 0.0)),
             frames.rotate(rotation, (0.0, 0.0, 1.0)),
-            fov,
+            _RANGE,
+            tan(fov / 2),
         )
         colors = self._brightened(renderer.render())
         renderer.enable_segmentation_rendering()
@@ -178,19 +206,14 @@ class WorldRenderer:
             self._build()
         model = self._model
         data = self._data
-        now = self._state.data
         for name in ("qpos", "mocap_pos", "mocap_quat"):
-            getattr(data, name)[:] = getattr(now, name)
+            getattr(data, name)[:] = getattr(self._state.data, name)
         model.geom_rgba[:] = self._nominal
         for (body, link), color in self._state.colors.items():
-            geoms = self._geoms.get((body, link), [])
-            model.geom_rgba[geoms] = color
+            model.geom_rgba[self._geoms.get((body, link), [])] = color
         mj.mj_kinematics(model, data)
         mj.mj_camlight(model, data)
-        renderer = self._renderers.get((width, height))
-        if renderer is None:
-            model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-            renderer = self._renderers[width, height] = mj.Renderer(model, height, width)
+        renderer = self.renderer(width, height)
         renderer.update_scene(data)
         self._lower_ground(renderer, FACE_DISTANCE_M)
         return renderer
@@ -217,14 +240,3 @@ class WorldRenderer:
         if ground:  # painted lines
             lines = (self._model.geom_bodyid[: self._model.ngeom] == 0).nonzero()[0]
             self._owners[lines] = self._owners[ground[0]]
-
-    def _aim(self, renderer: Any, eye: Triple, ahead: Any, up: Any, fov: float) -> None:
-        for camera in renderer.scene.camera:  # one for each eye; a picture is from between them
-            camera.pos = eye
-            camera.forward = ahead
-            camera.up = up
-            camera.frustum_center = 0.0
-            camera.frustum_top = NEAR_CLIP_M * tan(fov / 2)
-            camera.frustum_bottom = -camera.frustum_top
-            camera.frustum_width = 0.0  # MuJoCo then takes the aspect of the picture
-            camera.frustum_near, camera.frustum_far = NEAR_CLIP_M, FAR_CLIP_M

@@ -2,6 +2,7 @@
 
 from deepbots_webots.devices import (
     LED,
+    Altimeter,
     Brake,
     Connector,
     Display,
@@ -33,7 +34,6 @@ from deepbots_webots.imaging import (
 from deepbots_webots.sensors import (
     GPS,
     Accelerometer,
-    Altimeter,
     Compass,
     Device,
     DistanceSensor,
