@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -22,11 +21,9 @@ from deepbots_cli import api, engines
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.codegen.robot import controller_names
-from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.port import Engine, EngineProxy
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
-from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.records import dataclass
 from deepbots_cli.runtime import RobotController, Supervisor
@@ -246,8 +243,6 @@ def lines_of(task: Supervisor) -> Any:
 
 
 SCENARIO, MODULE = "scenario.yaml", "environment.py"
-ON_POLICY = ("PPO", "A2C")
-LEARNERS = frozenset([*ON_POLICY, "DQN", "SAC", "TD3", "DDPG"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,25 +269,6 @@ class Project:
             else:
                 robots[robot.name] = robot
         return robots
-
-    @property
-    def training(self) -> Training:
-        """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3.
-
-        An update has as many steps in the one world of Webots as in all worlds of the scenario: with 64 steps,
-        the return of CartPole is 124 of 200 after 28,700 steps, and with its 512 it is 185.
-        """
-        agent, training = self.program.agent, self.program.agent.training
-        if training is not None and training.algorithm in LEARNERS:
-            settings = {each.name: each for each in training.hyperparameters}
-            if training.algorithm in ON_POLICY:
-                settings |= {
-                    each.name: Hyperparameter(each.name, each.value * training.environments)
-                    for each in effective_hyperparameters(self.program, training.total_timesteps)
-                    if each.name == "n_steps" and isinstance(each.value, int)
-                }
-            return replace(training, replay=None, hyperparameters=tuple(settings.values()))
-        return Training("PPO" if agent.choices else "SAC", 100_000)
 
     @property
     def timestep_ms(self) -> int:
