@@ -24,7 +24,7 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_webots.project import World
-from deepbots_webots.scene import ORIGIN, Body, Geometry, Joint, Scene, Visual
+from deepbots_webots.scene import ORIGIN, Body, Geometry, Joint, Scene
 from deepbots_webots.shapes import (
     Grid,
     Mesh,
@@ -32,10 +32,8 @@ from deepbots_webots.shapes import (
     Shape,
     inverse,
     kind_of,
-    look_of,
     pose_of,
     trimesh_of,
-    visible_shape,
 )
 from deepbots_webots.syntax import Node, WorldFindings
 
@@ -68,7 +66,6 @@ class Names:
 
 _LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
 """A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
-_MAX_FACES = 20_000  # triangles of the visible meshes of a link
 
 
 @dataclass
@@ -152,10 +149,9 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
                 (None, _link_frame(body)) if node is body.node else (node, scene.attachments[node][1])
             )
             geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
-            visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
             inertias = [inertial for owner, inertial in body.inertias if solids.get(owner) is solid]
             link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
-            links.append(_as_seen(link, visuals, inverse(frame), built, scene))
+            links.append(link)
             if solid is not None:
                 name, pose = f"{link.name}_fixed", pose_of(parts.frame_in_link(body, frame))
                 joints.append(urdf.Joint(name, "fixed", parts.link_of(body), link.name, pose))
@@ -164,24 +160,6 @@ def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: Worl
 
 
 # Links
-
-
-def _as_seen(
-    link: urdf.Link, visuals: Sequence[Visual], origin: Frame, built: Built, scene: Scene
-) -> urdf.Link:
-    """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
-    shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
-    drawn = [(visual, shape) for visual, shape in shapes if not isinstance(shape, Plane | Grid | None)]
-    if not drawn or sum(len(shape.faces) for _, shape in drawn if isinstance(shape, Mesh)) > _MAX_FACES:
-        return link
-    geometries = []
-    for visual, shape in drawn:
-        geometry = _shape(shape, built, f"{link.name}_visual")
-        if geometry is not None:
-            red, green, blue, opacity = map(_unit, look_of(visual.node, scene.files).color)
-            pose = pose_of(frames.compose(origin, visual.frame))
-            geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
-    return replace(link, visuals=tuple(geometries))
 
 
 def _link(
@@ -217,10 +195,6 @@ def _friction(geometries: Sequence[Geometry], scene: Scene) -> float | None:
     """Return the friction of a material with the default one, if the world names it."""
     values = (scene.contact(geometry.material, "default").friction for geometry in geometries)
     return next((value for value in values if value != 1.0), None)
-
-
-def _unit(value: float) -> float:
-    return round(min(max(value, 0.0), 1.0), 3)
 
 
 def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
@@ -369,12 +343,10 @@ def _arena(scene: Scene, result: Surroundings) -> set[Node]:
         if node.type != "RectangleArena" or node.body is None or not _is_at_origin(node):
             continue
         x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
-        parts = [f"size: {plain(x, y)} m"]
-        if (height := number(node, "wallHeight")) != 0.1:
-            parts.append(f"wall_height: {plain(height)} m")
-        if (thickness := number(node, "wallThickness")) != 0.01:
-            parts.append(f"wall_thickness: {plain(thickness)} m")
-        result.world.append(("arena", f"{{{', '.join(parts)}}}"))
+        walls = (
+            f"wall_{name}: {plain(number(node, f'wall{name.title()}'))} m" for name in ("height", "thickness")
+        )
+        result.world.append(("arena", f"{{{', '.join([f'size: {plain(x, y)} m', *walls])}}}"))
         return {real(node)}
     return set()
 
@@ -447,20 +419,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
         if (friction := _friction([geometry], scene)) is not None:
             parts.append(f"friction: {plain(friction)}")
         parts.append(f"pose: {pose_text(frames.compose(body.frame, geometry.frame))}")
-        if color := _color_text(body, scene):
-            parts.append(f"color: '{color}'")
         result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
-
-
-def _color_text(body: Body, scene: Scene) -> str:
-    """Return the color of the first Shape node of a body, such as `#ff0000`; empty without one."""
-    visual = next((visual for visual in scene.visuals if visual.body is body), None)
-    if visual is None:
-        return ""
-    channels = (
-        round(255 * min(max(channel, 0.0), 1.0)) for channel in look_of(visual.node, scene.files).color[:3]
-    )
-    return "#" + "".join(f"{channel:02x}" for channel in channels)
 
 
 def _is_ground(geometry: Geometry, body: Body) -> bool:
