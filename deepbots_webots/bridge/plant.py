@@ -58,11 +58,10 @@ class Plant:
         ]
         self._roots = {name: robot.model.root for name, robot in robots.items()}
 
-    def node(self, *parts: str) -> Any:
+    def node(self, body: str, link: str | None = None) -> Any:
         """Return the node of a body, or of one of its links."""
-        if len(parts) == 2 and self._roots.get(parts[0], parts[0]) == parts[1]:
-            parts = parts[:1]
-        return self._node(def_name(*parts))
+        is_root = link is None or link == self._roots.get(body, body)
+        return self._node(def_name(body) if is_root else def_name(body, link or ""))
 
     def _node(self, name: str) -> Any:
         if name not in self._nodes:
@@ -92,7 +91,7 @@ class Plant:
 
     def motion(self, body: str, link: str | None = None) -> Motion:
         """Return the motion of a body, or of one of its links."""
-        node = self.node(body) if link is None else self.node(body, link)
+        node = self.node(body, link)
         x, y, z = node.getPosition()
         u, v, w, a, b, c = node.getVelocity()
         return Motion((x, y, z), _quaternion(node.getOrientation()), (u, v, w), (a, b, c))
@@ -108,7 +107,7 @@ class Plant:
             node.setVelocity([*linear, *angular])
 
     def set_joint(self, robot: str, joint: str, position: float) -> None:
-        self._node(joint_def(robot, joint)).setJointPosition(position)
+        self.joint_node(robot, joint).setJointPosition(position)
 
     def joint_node(self, robot: str, joint: str) -> Any:
         return self._node(joint_def(robot, joint))
@@ -119,10 +118,8 @@ class Plant:
 
     def touch(self, part: Part) -> Callable[[], bool]:
         """Return whether anything touches a body, or one of its links, at the end of the last timestep."""
-        body, link = part
-        node = self.node(body) if link is None else self.node(body, link)
-        inner = link is None
-        return lambda: bool(node.getContactPoints(inner))
+        node, has_all_links = self.node(*part), part[1] is None
+        return lambda: bool(node.getContactPoints(has_all_links))
 
 
 class _JointReader:

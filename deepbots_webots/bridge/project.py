@@ -15,7 +15,7 @@ import json
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from deepbots_cli import api, engines
 from deepbots_cli.codegen import load_module
@@ -35,16 +35,6 @@ from deepbots_webots.bridge.plant import MirrorEngine, Plant
 
 START = "start"
 """The first cell of the message that begins an episode."""
-
-
-class Host(Protocol):
-    """The environment of deepbots in Webots that sends and receives."""
-
-    def send_to(self, robot: str, cells: Sequence[object]) -> None:
-        """Send a message of comma-separated values."""
-
-    def receive_from(self, robot: str) -> list[str] | None:
-        """Return the next message of a robot, None without one."""
 
 
 class ReaderLog(EngineProxy):
@@ -204,7 +194,7 @@ class HasWebotsRobots(SupervisedRobots):
         return channel
 
 
-def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable[[], None]:
+def exchange(host: Any, task: Supervisor, step: Callable[[], None]) -> Callable[[], None]:
     """Return the function that lets a timestep pass: it sends, steps, and receives."""
     lines = list(lines_of(task))
 
@@ -284,8 +274,9 @@ class Project:
         bridged = type(kind.__name__, (HasWebotsRobots, kind), {"__doc__": kind.__doc__})
         return make_environment(bridged, self.program, lambda _: engine)
 
-    def task(self, supervisor: Host) -> Supervisor:
-        """Return the environment of the scenario in the world of a Webots supervisor."""
+    def task(self, supervisor: Any) -> Supervisor:
+        """Return the environment of the scenario in the world of a Webots supervisor, the class in
+        `webots_environment.py`, which sends by `send_to` and receives by `receive_from`."""
         engine = engines.create("mujoco", self.world)
         plant = Plant(supervisor, self.world)
         mirror = MirrorEngine(engine, plant, self.world)

@@ -20,9 +20,8 @@ from pathlib import Path
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
-from deepbots_cli.robots.model import Pose
+from deepbots_cli.robots.model import Pose, RobotModel
 from deepbots_webots.imports.world import (
-    Built,
     Names,
     RobotParts,
     Surroundings,
@@ -34,7 +33,7 @@ from deepbots_webots.imports.world import (
 )
 from deepbots_webots.nodes import integer, number, real, text, vectors, walk
 from deepbots_webots.project import Files, World, programs, read_world
-from deepbots_webots.scene import AXES, Body, Device, Robot, Scene, build_scene
+from deepbots_webots.scene import AXES, Body, Device, Scene, build_scene
 from deepbots_webots.shapes import pose_of
 from deepbots_webots.syntax import Node, WorldFindings
 
@@ -83,10 +82,6 @@ class Module:
     def resolved(self, node: ast.expr) -> str:
         """Return the name of a class or function without its module."""
         return self.aliases.get(_last_name(node), _last_name(node))
-
-    @cached_property
-    def classes(self) -> list[ast.ClassDef]:
-        return [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef)]
 
 
 @dataclass(frozen=True)
@@ -223,7 +218,7 @@ def controllers(modules: Sequence[Module], bases: frozenset[str]) -> list[Contro
     """Return the classes that derive from one of these, and from which no other class does."""
     classes: Classes = {}
     for module in modules:
-        for node in module.classes:
+        for node in (each for each in ast.walk(module.tree) if isinstance(each, ast.ClassDef)):
             classes.setdefault(node.name, []).append((module, node))
     controllers = []
     for module, node in [pair for pairs in classes.values() for pair in pairs]:
@@ -387,10 +382,8 @@ class DraftRobot:
     of sensors by the names of devices, and `motors` have their joint and their highest speed.
     """
 
-    name: str
     parts: RobotParts
-    robot: Robot | None
-    built: Built
+    model: RobotModel
     controller: Controller
     acts: bool
     sensors: dict[str, str] = field(default_factory=dict)
@@ -402,7 +395,8 @@ class DraftRobot:
     def add_devices(self, texts: set[str]) -> None:
         """Add the sensors and motors for the devices of the robot; `texts` are those of the project."""
         names = Names()
-        for device in self.robot.devices.values() if self.robot is not None else ():
+        robot = self.parts.root.robot
+        for device in robot.devices.values() if robot is not None else ():
             sensor = sensor_text(device, self.parts)
             if sensor is not None:
                 name = self.readings[device.name] = names.new(device.name, "sensor")
@@ -433,7 +427,7 @@ class Draft:
         """Return what names in the Python of the project are in the scenario."""
         bodies = [f"{label}: {name}" for label, name in self.bodies.items()]
         readings = [
-            f"{device}: {self.agent.name}.{name}"
+            f"{device}: {self.agent.parts.name}.{name}"
             for device, name in self.agent.readings.items()
             if name in self.agent.sensors
         ]
@@ -444,9 +438,9 @@ class Draft:
     def starts(self) -> list[str]:
         """Return the positions of joints at the start that are not 0, as YAML."""
         return [
-            f"{robot.name}.{joint}: {plain(value)} {_UNITS[robot.built.model.joint(joint).type]}"
+            f"{robot.parts.name}.{joint}: {plain(value)} {_UNITS[robot.model.joint(joint).type]}"
             for robot in self.robots
-            for joint, value in robot.built.starts.items()
+            for joint, value in robot.parts.starts.items()
         ]
 
     @property
@@ -483,13 +477,12 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     for index, root in roots.items():
         if not root.geometries and not any(body.parent is root for body in scene.bodies):
             continue  # a supervisor
-        robot = scene.robots[index]
-        parts = robot_parts(scene, root, names.new(labels.get(root.node) or robot.name, "robot"))
-        built = build(parts, scene, [node for node in used if node in parts.links], world.findings)
-        controller = acting.get(index, Controller())
-        robots.append(DraftRobot(parts.name, parts, root.robot, built, controller, index in acting))
+        name = names.new(labels.get(root.node) or scene.robots[index].name, "robot")
+        parts = robot_parts(scene, root, name, labels)
+        model = build(parts, scene, [node for node in used if node in parts.links], world.findings)
+        robots.append(DraftRobot(parts, model, acting.get(index, Controller()), index in acting))
         for node, link in parts.links.items():
-            bodies[node] = parts.name if node is root.node else f"{parts.name}.{link}"
+            bodies[node] = name if node is root.node else f"{name}.{link}"
     objects = {
         body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
         for body in scene.bodies

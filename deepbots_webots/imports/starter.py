@@ -35,7 +35,7 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     draft = read_project(world, library)
 
     def file_of(robot: DraftRobot) -> str:
-        return f"{name}_{robot.name}.urdf"
+        return f"{name}_{robot.parts.name}.urdf"
 
     text = _template().render(
         draft=draft,
@@ -50,8 +50,8 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
     count_text = "One place is" if todos == 1 else f"{todos} places are"
     head = _HEAD.format(world=_visible(draft.world_file), todos=count_text)
     files = {f"{name}.yaml": (head + "".join(f"{line.rstrip()}\n" for line in lines)).encode()}
-    files |= {file_of(robot): to_urdf(robot.built.model).encode() for robot in draft.robots}
-    files |= {path: content for robot in draft.robots for path, content in robot.built.meshes.items()}
+    files |= {file_of(robot): to_urdf(robot.model).encode() for robot in draft.robots}
+    files |= {path: content for robot in draft.robots for path, content in robot.parts.meshes.items()}
     files |= draft.surroundings.pictures
     _check(files, name)
     paths = {PurePosixPath(path): content for path, content in files.items()}
