@@ -31,7 +31,7 @@ from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.runtime.messages import FieldCodec
 from deepbots_cli.runtime.streams import Streams
-from deepbots_webots.bridge.plant import MirrorEngine, Plant
+from deepbots_webots.bridge.mirror import MirrorEngine
 
 START = "start"
 """The first cell of the message that begins an episode."""
@@ -277,11 +277,9 @@ class Project:
     def task(self, supervisor: Any) -> Supervisor:
         """Return the environment of the scenario in the world of a Webots supervisor, the class in
         `webots_environment.py`, which sends by `send_to` and receives by `receive_from`."""
-        engine = engines.create("mujoco", self.world)
-        plant = Plant(supervisor, self.world)
-        mirror = MirrorEngine(engine, plant, self.world)
+        mirror = MirrorEngine(engines.create("mujoco", self.world), supervisor, self.world)
         task = self.supervisor(mirror)
-        mirror.let_timestep_pass = exchange(supervisor, task, lambda: plant.wait(self.timestep_ms))
+        mirror.let_timestep_pass = exchange(supervisor, task, mirror.wait)
         return task
 
 

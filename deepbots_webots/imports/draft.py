@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from functools import cached_property
+from itertools import chain
 from math import isfinite
 from pathlib import Path
 
@@ -249,12 +250,6 @@ def _collect(
 # Files
 
 
-def texts_of(modules: Sequence[Module]) -> set[str]:
-    """Return all texts of Python files, among them the names of nodes and of devices."""
-    nodes = (node for module in modules for node in ast.walk(module.tree))
-    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
-
-
 def read_modules(files: Files, path: Path, span: Span, findings: WorldFindings) -> list[Module]:
     """Return the Python file of a controller and those of its folder that it imports, also through others."""
     folder = path.parent
@@ -464,9 +459,19 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     for loop in scene.loops:
         world.findings.error(loop.end.node.span, "a SolidReference in a robot has no counterpart in URDF")
     world.findings.require_none()
-    roots = _roots(scene)
+    roots = {
+        body.robot.index: body
+        for body in reversed(scene.bodies)
+        if body.robot is not None and body.parent is None
+    }
     modules = _modules(world, scene)
-    texts = texts_of([module for each in modules.values() for module in each])
+    # All texts of the Python, among them the names of nodes and of devices.
+    texts = {
+        node.value
+        for module in chain(*modules.values())
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
     acting, judge, has_messages = _roles(scene, roots, modules)
     if not acting:
         raise UsageError(f"no robot of {world.path} has a motor, so a policy could not control it")
@@ -474,7 +479,7 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     used = [node for node, label in labels.items() if label in texts]
     names = Names()
     robots, bodies = [], {}
-    for index, root in roots.items():
+    for index, root in sorted(roots.items()):
         if not root.geometries and not any(body.parent is root for body in scene.bodies):
             continue  # a supervisor
         name = names.new(labels.get(root.node) or scene.robots[index].name, "robot")
@@ -496,15 +501,6 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     bodies |= {scene.bodies[index].node: name for index, name in objects.items() if name in around.objects}
     named = {labels[node]: bodies[node] for node in used if node in bodies}
     return Draft(path.name, around, robots, agent, judge, has_messages, named, world.findings)
-
-
-def _roots(scene: Scene) -> dict[int, Body]:
-    """Return the root body of each robot by the index of the robot."""
-    roots: dict[int, Body] = {}
-    for body in scene.bodies:
-        if body.robot is not None and body.parent is None:
-            roots.setdefault(body.robot.index, body)
-    return roots
 
 
 def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:

@@ -29,7 +29,7 @@ from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name
 from deepbots_webots import supervisor
-from deepbots_webots.bridge.plant import MirrorEngine, Plant
+from deepbots_webots.bridge.mirror import MirrorEngine
 from deepbots_webots.bridge.robot import RobotDevices
 from deepbots_webots.devices import device_object
 from deepbots_webots.export.command import WebotsProject, prepare, project_files
@@ -140,7 +140,7 @@ class PlantEngine(MirrorEngine):
     def __init__(self, engine: Any, simulation: Simulation, world: Any) -> None:
         simulation.current = next(robot for robot in simulation.scene.robots if robot.is_supervisor)
         supervisor.activate(simulation)
-        super().__init__(engine, Plant(supervisor.Supervisor(), world), world)
+        super().__init__(engine, supervisor.Supervisor(), world)
         self._robots = {robot.name: robot for robot in simulation.scene.robots}
         self._simulation = simulation
 
