@@ -126,11 +126,10 @@ def world_of(folder: Path) -> Path:
     return world
 
 
-def opened(path: Path) -> Simulation:
-    """Return the simulation of a world without findings."""
-    world = read_world(path)
+def simulation_of(world: World) -> Simulation:
+    """Return the simulation of a world without errors."""
     scene = build_scene(world)
-    assert list(world.findings) == []
+    world.findings.require_none()
     return Simulation(scene, world.span)
 
 
@@ -152,7 +151,7 @@ class PlantEngine(MirrorEngine):
 
 def run_scenario(prepared: WebotsProject, folder: Path, episodes: Sequence[Any]) -> list[Any]:
     """Run the same episodes in the environment of the scenario; the rows are those of `run_exported`."""
-    simulation = opened(world_of(folder))
+    simulation = simulation_of(read_world(world_of(folder)))
     sys.path.insert(0, str(SITE))
     try:
         environment = api.build(
@@ -223,10 +222,7 @@ def simulate(text: str, step: int = 8, axes: str = "ENU", **info: object) -> Sim
         text = f"Pose {{ rotation 1 1 1 -2.0943951 children [ {text} ] }}"
         info["coordinateSystem"] = '"NUE"'
     fields = " ".join(f"{name} {value}" for name, value in {"basicTimeStep": step, **info}.items())
-    world = read(f"WorldInfo {{ {fields} }} {text}")
-    scene = build_scene(world)
-    world.findings.require_none()
-    return Simulation(scene, world.span)
+    return simulation_of(read(f"WorldInfo {{ {fields} }} {text}"))
 
 
 def enu(values: Sequence[float], axes: str) -> list[float]:

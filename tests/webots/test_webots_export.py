@@ -20,10 +20,10 @@ from deepbots_webots.scene import build_scene
 from tests.webots.exported_projects import (
     exported,
     node,
-    opened,
     run_exported,
     run_scenario,
     run_supervisor,
+    simulation_of,
     world_of,
 )
 
@@ -97,7 +97,9 @@ def test_an_exported_project_trains_on_its_supervisor(tmp_path: Path):
 @pytest.mark.parametrize("name", FITTING)
 def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: str, tmp_path: Path):
     prepared = exported(name, tmp_path)
-    simulation = opened(world_of(tmp_path))
+    world = read_world(world_of(tmp_path))
+    simulation = simulation_of(world)
+    assert list(world.findings) == []
     assert {robot.controller for robot in simulation.scene.robots} == {
         folder.name for folder in (tmp_path / "controllers").iterdir()
     }
@@ -107,7 +109,7 @@ def test_all_nodes_and_fields_exist_and_masses_are_those_of_the_scenario(name: s
 
 def test_bodies_stand_at_the_start_of_an_episode_before_the_first_reset(tmp_path: Path):
     exported("find_ball", tmp_path)
-    simulation = opened(world_of(tmp_path))
+    simulation = simulation_of(read_world(world_of(tmp_path)))
     heights = {name: node(simulation, name).getPosition()[2] for name in ("BALL", "BOX")}
     assert heights == pytest.approx({"BALL": 0.07, "BOX": 0.15})
 
