@@ -34,31 +34,6 @@ class Motion(NamedTuple):
     angular: Triple
 
 
-class _JointReader:
-    """The state of a joint: rad or m, and the velocity by those of its two links."""
-
-    def __init__(self, mirror: MirrorEngine, robot: str, joint: Joint) -> None:
-        self.name = joint.name
-        self._mirror, self._robot, self._joint = mirror, robot, joint
-        # URDF has the axis in the frame of the joint; this is that of the parent link.
-        self._axis = frames.rotate(frames.frame(joint.origin)[1], joint.axis)
-        self._field: Any = None
-
-    def __call__(self) -> tuple[float, float]:
-        joint = self._joint
-        if self._field is None:
-            node = self._mirror.node_of_def(joint_def(self._robot, joint.name))
-            self._field = node.getField("jointParameters").getSFNode().getField("position")
-        parent = self._mirror.motion_of(self._robot, joint.parent)
-        child = self._mirror.motion_of(self._robot, joint.child)
-        axis = frames.rotate(parent.orientation, self._axis)
-        if joint.type == "prismatic":
-            arm = frames.subtract(child.position, parent.position)
-            carried = frames.add(parent.linear, frames.cross(parent.angular, arm))
-            return self._field.getSFFloat(), frames.dot(frames.subtract(child.linear, carried), axis)
-        return self._field.getSFFloat(), frames.dot(frames.subtract(child.angular, parent.angular), axis)
-
-
 def _quaternion(rows: Sequence[float]) -> Quaternion:
     """Return the quaternion of a rotation matrix, row by row."""
     quaternion = np.zeros(4)
@@ -91,10 +66,10 @@ class MirrorEngine(EngineProxy):
             *(robot.name for robot in world.robots if not robot.fixed_base),
             *(body.name for body in world.objects if is_movable(body)),
         ]
-        self._joints = [
-            (robot.name, _JointReader(self, robot.name, joint))
-            for robot in world.robots
-            for joint in robot.model.moving_joints
+        self._joints = [(robot.name, joint) for robot in world.robots for joint in robot.model.moving_joints]
+        self._positions = [
+            self._joint_node(robot, joint.name).getField("jointParameters").getSFNode().getField("position")
+            for robot, joint in self._joints
         ]
         self._others = [*self._roots, *(body.name for body in world.objects)]
         if world.arena is not None:
@@ -107,9 +82,12 @@ class MirrorEngine(EngineProxy):
     def _node(self, body: str, link: str | None = None) -> Any:
         """Return the node of a body, or of one of its links."""
         is_root = link is None or link == self._roots.get(body, body)
-        return self.node_of_def(def_name(body) if is_root else def_name(body, link or ""))
+        return self._node_of_def(def_name(body) if is_root else def_name(body, link or ""))
 
-    def node_of_def(self, name: str) -> Any:
+    def _joint_node(self, robot: str, joint: str) -> Any:
+        return self._node_of_def(joint_def(robot, joint))
+
+    def _node_of_def(self, name: str) -> Any:
         """Return the node of a DEF name.
 
         Raises:
@@ -162,8 +140,19 @@ class MirrorEngine(EngineProxy):
                 self.let_timestep_pass()
         for body in self._moving_bodies:
             self.engine.place(body, *self.motion_of(body))
-        for robot, joint in self._joints:
-            self.engine.set_joint(robot, joint.name, *joint())
+        for (robot, joint), position in zip(self._joints, self._positions, strict=True):
+            self.engine.set_joint(robot, joint.name, position.getSFFloat(), self._speed(robot, joint))
+
+    def _speed(self, robot: str, joint: Joint) -> float:
+        """Return the velocity of a joint by those of its two links, rad/s or m/s."""
+        parent, child = (self.motion_of(robot, link) for link in (joint.parent, joint.child))
+        # URDF has the axis in the frame of the joint.
+        axis = frames.rotate(parent.orientation, frames.rotate(frames.frame(joint.origin)[1], joint.axis))
+        if joint.type != "prismatic":
+            return frames.dot(frames.subtract(child.angular, parent.angular), axis)
+        arm = frames.subtract(child.position, parent.position)
+        carried = frames.add(parent.linear, frames.cross(parent.angular, arm))
+        return frames.dot(frames.subtract(child.linear, carried), axis)
 
     def place(
         self,
@@ -190,13 +179,13 @@ class MirrorEngine(EngineProxy):
         self._set_joint(robot, joint, position)
 
     def _set_joint(self, robot: str, joint: str, position: float) -> None:
-        self.node_of_def(joint_def(robot, joint)).setJointPosition(position)
+        self._joint_node(robot, joint).setJointPosition(position)
 
     def set_parameter(self, parameter: EngineParameter, owner: tuple[str, ...], *values: float) -> None:
         """Set a parameter of the engine; gravity also in the world. Webots changes no other in an episode."""
         self.engine.set_parameter(parameter, owner, *values)
         if parameter == "gravity":  # that of Webots is a number, and downward
-            self.node_of_def("WORLD_INFO").getField("gravity").setSFFloat(-values[2])
+            self._node_of_def("WORLD_INFO").getField("gravity").setSFFloat(-values[2])
 
     def contact(
         self, one: Part, others: Sequence[Part] | None = None, *, ground: bool = True

@@ -55,15 +55,8 @@ class ReaderLog(EngineProxy):
         return read
 
     def readings(self) -> list[Any]:
-        """Return the value of each reader, as lists of numbers."""
-        return [_plain(read()) for read in self.readers]
-
-
-def _plain(value: Any) -> Any:
-    """Return a reading as a value of JSON."""
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return bool(value) if isinstance(value, bool) else float(value)
+        """Return the value of each reader."""
+        return [read() for read in self.readers]
 
 
 class RemoteRobot:
@@ -90,7 +83,7 @@ class RemoteRobot:
             "anew": streams is not self._streams,
             "readings": self.log.readings(),
         }
-        self.start = [START, *json.dumps(values).split(",")]
+        self.start = [START, *json.dumps(values, default=lambda array: array.tolist()).split(",")]
         self._streams = streams
         self.controller.begin(streams)
         self._is_first = True

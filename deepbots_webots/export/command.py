@@ -74,7 +74,7 @@ def export(
         run = run_to_export(ref.run, agent)
         prepared = prepare(Source.open(run.path, permissions, SourceKind.RUN))
         if run.program.timing != "delayed":
-            prepared.gaps.differ(
+            prepared.gaps.differs.append(
                 "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
                 " returns."
             )
@@ -127,13 +127,14 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
         task.reset(seed=0)
         bodies = [body.name for body in project.world.objects] + [*project.robots]
         starts = {name: recorder.pose(name)() for name in bodies}
+    gaps.differs = list(dict.fromkeys(gaps.differs))  # those of each robot once
     remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
     return WebotsProject(compiled, project, remotes, gaps, starts)
 
 
 def _require_none(program: Program, gaps: Gaps) -> None:
     if gaps.missing:
-        sentences = "\n".join(f"  {sentence}" for sentence in gaps.missing)
+        sentences = "\n".join(f"  {sentence}" for sentence in dict.fromkeys(gaps.missing))
         raise UsageError(f"{program.name} cannot be exported to Webots:\n{sentences}")
 
 
@@ -187,38 +188,17 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
         "controllers": list(controllers),
         "differs": prepared.gaps.differs,
     }
-    texts = {
-        path: templates.get_template(template).render(words)
-        for path, template in (
-            ("README.md", "README.md.j2"),
-            ("controllers/supervisor/webots_environment.py", "webots_environment.py.j2"),
-            ("controllers/supervisor/supervisor.py", "supervisor.py.j2"),
-        )
+    paths = {
+        "README.md": "README.md.j2",
+        "requirements.txt": "requirements.txt.j2",
+        "controllers/supervisor/webots_environment.py": "webots_environment.py.j2",
+        "controllers/supervisor/supervisor.py": "supervisor.py.j2",
     }
-    for name, spec in controllers.items():
-        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(
-            {
-                **words,
-                "class_name": class_name(name),
-                "robots": f"the robot {spec.name}",
-                "sent": _fields(spec.from_robot.fields),
-                "received": _fields(spec.to_robot.fields),
-            }
-        )
-    texts["requirements.txt"] = _REQUIREMENTS
+    texts = {path: templates.get_template(name).render(words) for path, name in paths.items()}
+    for name, robot in controllers.items():
+        robot_words = {**words, "class_name": class_name(name), "robot": robot}
+        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(robot_words)
     return texts
-
-
-def _fields(fields: Sequence[Any]) -> str:
-    return ", ".join(field.name for field in fields) or "nothing"
-
-
-_REQUIREMENTS = (
-    f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
-    "# deepbots-cli @ file:///PATH/TO/THE/CLONE\n"
-    "# deepbots-webots @ file:///PATH/TO/THE/CLONE/deepbots_webots\n"
-    "mujoco\nonnxruntime\n"
-)
 
 
 def policy_of_run(run: Any, model: Any) -> bytes:
@@ -275,14 +255,6 @@ class Gaps:
     """The reasons for which a scenario is refused."""
     differs: list[str] = field(default_factory=list)
 
-    def miss(self, sentence: str) -> None:
-        if sentence not in self.missing:
-            self.missing.append(sentence)
-
-    def differ(self, sentence: str) -> None:
-        if sentence not in self.differs:
-            self.differs.append(sentence)
-
 
 class EngineRecorder(ReaderLog):
     """An engine that records the calls of a scenario, and what it changes."""
@@ -322,7 +294,7 @@ def static_gaps(program: Program) -> Gaps:
         (any(program.world.gravity[:2]), "Gravity that is not vertical cannot be exported."),
     ):
         if is_there:
-            gaps.miss(sentence)
+            gaps.missing.append(sentence)
     bodies = [
         *(robot.name for robot in program.world.robots),
         *(body.name for body in program.world.objects),
@@ -330,18 +302,24 @@ def static_gaps(program: Program) -> Gaps:
     taken = Counter([*map(names.def_name, bodies), *names.OWN_NODES])
     for body_name in bodies:
         if taken[names.def_name(body_name)] > 1:
-            gaps.miss(f"Another part of the project in Webots has the name of {body_name}: rename it.")
+            gaps.missing.append(
+                f"Another part of the project in Webots has the name of {body_name}: rename it."
+            )
     for body in program.world.objects:
         if body.pooled or body.variants:
-            gaps.miss(f"The object {body.name}, which some episodes leave out or change, cannot be exported.")
+            gaps.missing.append(
+                f"The object {body.name}, which some episodes leave out or change, cannot be exported."
+            )
     if program.world.lines:
-        gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
+        gaps.differs.append(
+            "Lines on the ground are not drawn; sensors of brightness read them all the same."
+        )
     for robot in program.robots:
         _gaps_of_robot(program, robot, gaps)
-    gaps.differ(
+    gaps.differs.append(
         "Messages take one timestep in each direction (`timing: delayed`), and are comma-separated values."
     )
-    gaps.differ("The physics, and with it the returns, are those of Webots.")
+    gaps.differs.append("The physics, and with it the returns, are those of Webots.")
     return gaps
 
 
@@ -350,12 +328,12 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
         if isinstance(actuator, Motor) and (
             actuator.stiffness is not None or actuator.no_load_speed is not None
         ):
-            gaps.miss(
+            gaps.missing.append(
                 f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no"
                 " stiffness, and no torque that falls with their speed."
             )
     if not (robot.to_route.perfect and robot.from_route.perfect):
-        gaps.differ("Latency, loss and range of messages are left out.")
+        gaps.differs.append("Latency, loss and range of messages are left out.")
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     for joint in model.joints:
         _gaps_of_joint(f"the joint {joint.name} of {robot.name}", joint, gaps)
@@ -363,17 +341,17 @@ def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
 
 def _gaps_of_joint(name: str, joint: Joint, gaps: Gaps) -> None:
     if joint.type in ("floating", "planar"):
-        gaps.miss(f"Webots has no {joint.type} joints, such as {name}.")
+        gaps.missing.append(f"Webots has no {joint.type} joints, such as {name}.")
     elif joint.moves:
         low, high = joint.ends(inf)
         if joint.mimic is not None:
-            gaps.miss(f"Webots has no joints that follow another one, such as {name}.")
+            gaps.missing.append(f"Webots has no joints that follow another one, such as {name}.")
         if not low <= 0.0 <= high:
-            gaps.miss(f"The limits of {name} do not contain 0, as those of Webots must.")
+            gaps.missing.append(f"The limits of {name} do not contain 0, as those of Webots must.")
         elif min(-low, high) < inf and joint_stops(joint) is None:
-            gaps.differ(f"The limits of {name} are beyond 180 degrees, and are left out.")
+            gaps.differs.append(f"The limits of {name} are beyond 180 degrees, and are left out.")
     if joint.armature:
-        gaps.differ(f"The armature of {name} is left out.")
+        gaps.differs.append(f"The armature of {name} is left out.")
 
 
 def _gaps_of_calls(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
@@ -381,14 +359,14 @@ def _gaps_of_calls(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> No
     for _, remote, *_ in lines_of(task):
         for method, _, options in remote.log.calls:
             if not hasattr(RobotDevices, method):
-                gaps.miss(f"{_MISSING[method]} cannot be exported.")
+                gaps.missing.append(f"{_MISSING[method]} cannot be exported.")
             if options.get("upright"):
-                gaps.miss("Rays that stay level when the robot tilts cannot be exported.")
+                gaps.missing.append("Rays that stay level when the robot tilts cannot be exported.")
     methods = {method for method, *_ in recorder.calls}
     for method in sorted(methods & _OF_SUPERVISOR):
-        gaps.miss(f"{_MISSING[method]} cannot be exported.")
+        gaps.missing.append(f"{_MISSING[method]} cannot be exported.")
     if "contact" in methods:
-        gaps.differ("A contact counts if it lasts until the end of a timestep.")
+        gaps.differs.append("A contact counts if it lasts until the end of a timestep.")
 
 
 def _gaps_of_episodes(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
@@ -396,9 +374,9 @@ def _gaps_of_episodes(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) ->
     for seed in SEEDS:
         task.reset(seed=seed)
     if any(getattr(agent, "has_varied_sensors", False) for agent in task.agents.values()):
-        gaps.differ("Faults of sensors that an episode draws have their nominal values.")
+        gaps.differs.append("Faults of sensors that an episode draws have their nominal values.")
     if varied := sorted(recorder.parameters - {"gravity"}):
         parameters = ", ".join(name.replace("_", " ") for name in varied)
-        gaps.differ(f"Changes of {parameters} between episodes are left out.")
+        gaps.differs.append(f"Changes of {parameters} between episodes are left out.")
     if recorder.has_joint_velocities:
-        gaps.differ("Joints are at rest at the start of an episode.")
+        gaps.differs.append("Joints are at rest at the start of an episode.")

@@ -224,11 +224,10 @@ def _joints(
 
 def _at_zero(frame: Frame, joint: Joint) -> Frame:
     """Return the frame of a joint at the position 0."""
+    back = (frames.scaled(joint.axis, -joint.position), frames.IDENTITY_ROTATION)
     if joint.kind == "hinge":
-        rotation = frames.from_axis_angle(joint.axis, -joint.position)
-        return frames.compose(frame, ((0.0, 0.0, 0.0), rotation))
-    back = frames.scaled(joint.axis, -joint.position)
-    return frames.compose(frame, (back, frames.IDENTITY_ROTATION))
+        back = ((0.0, 0.0, 0.0), frames.from_axis_angle(joint.axis, -joint.position))
+    return frames.compose(frame, back)
 
 
 def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
@@ -295,19 +294,18 @@ def surroundings(
 ) -> Surroundings:
     """Return the entries of a world; `objects` are names of bodies by their index, `used` the nodes that the
     code reads, and `step` the control step (ms)."""
-    result = Surroundings()
-    entries = result.world
-    entries.append(("timestep", f"{step} ms"))
+    result = Surroundings([("timestep", f"{step} ms")])
     substeps = -(-step // LARGEST_SUBSTEP)
     if substeps > 1:
-        entries.append(("substeps", str(substeps)))
+        result.world.append(("substeps", str(substeps)))
     if scene.gravity != (0.0, 0.0, -9.81):
-        entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
+        result.world.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
     nodes_in_result = _arena(scene, result) | _terrain(world, scene, result)
     needed = set(used)
-    for body in scene.bodies:
-        if body.robot is None and body.node not in nodes_in_result and body.index in objects:
-            _object(body, scene, objects[body.index], body.node in needed, result)
+    for index, name in objects.items():
+        body = scene.bodies[index]
+        if body.node not in nodes_in_result:
+            _object(body, scene, name, body.node in needed, result)
     return result
 
 
@@ -386,10 +384,8 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
     reason = ""
     if len(result.objects) + len(solid) > MAX_OBJECTS:
         reason = f", because the world has more than {MAX_OBJECTS} objects"
-    elif body.parent is not None or any(child.parent is body for child in scene.bodies):
-        reason = ", which has joints: write a robot file for it"
-    elif body.is_free and len(solid) > 1:
-        reason = f", a body of {len(solid)} shapes: write a robot file for it"
+    elif any(child.parent is body for child in scene.bodies) or (body.is_free and len(solid) > 1):
+        reason = ", which has several parts: write a robot file for it"
     if reason:
         result.left_out.append((body.node.span.location, f"'{label}'{reason}"))
         return
