@@ -214,21 +214,26 @@ _COMPILED = {
 
 
 def programs(
-    files: Files, robots: Sequence[Robot], chosen: Mapping[str, Path] | None = None
+    files: Files,
+    robots: Sequence[Robot],
+    chosen: Mapping[str, Path] | None = None,
+    advice: str = "--controller {}=FILE",
 ) -> Iterator[tuple[Robot, Program]]:
     """Yield the robots of a world that have a controller, with their programs.
 
     A controller `<extern>` is the one of the project that has the name of the robot, or else the only one
-    that no robot names. `chosen` are files that the user names, by the name of a robot.
+    that no robot names. `chosen` are files that the user names, by the name of a robot, and `advice` is how
+    to name one.
     """
     named = {robot.controller for robot in robots} | {path.parent.name for path in (chosen or {}).values()}
     unnamed = {path.parent.name: path for path in _programs_of(files) if path.parent.name not in named}
     for robot in robots:
         name, path, remark = robot.controller, (chosen or {}).get(robot.name), ""
-        if path is None:
-            path, remark = (
-                _extern(robot, files, unnamed) if name == "<extern>" else _program(files, name, robot)
-            )
+        naming = advice.format(shlex.quote(robot.name))
+        if path is None and name == "<extern>":
+            path, remark = _extern(robot, files, unnamed, naming)
+        elif path is None:
+            path, remark = _program(files, name, naming)
         if path is not None or remark:
             yield robot, Program(name, path, remark and f"the controller '{name}' of '{robot.name}' {remark}")
 
@@ -243,20 +248,16 @@ def _programs_of(files: Files) -> list[Path]:
     return [path for path in paths if files.allows(path)]
 
 
-def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path]) -> tuple[Path | None, str]:
+def _extern(robot: Robot, files: Files, unnamed: Mapping[str, Path], naming: str) -> tuple[Path | None, str]:
     path = unnamed.get(robot.name)
     if path is None and len(unnamed) == 1:
         (path,) = unnamed.values()
     if path is not None:
         return path, f"is {path.relative_to(files.project)}"
-    return None, f"is any program; name it: {_option(robot.name)}"
+    return None, f"is any program; name it: {naming}"
 
 
-def _option(robot: str) -> str:
-    return f"--controller {shlex.quote(robot)}=FILE"
-
-
-def _program(files: Files, name: str, robot: Robot) -> tuple[Path | None, str]:
+def _program(files: Files, name: str, naming: str) -> tuple[Path | None, str]:
     if name in ("", "<none>", "void"):
         return None, ""
     if name == "<generic>" or "/" in name or "\\" in name or name.startswith("."):
@@ -268,7 +269,7 @@ def _program(files: Files, name: str, robot: Robot) -> tuple[Path | None, str]:
     for suffix, language in _COMPILED.items():
         if (folder / f"{name}{suffix}").is_file():
             return None, f"is written in {language}; deepbots runs Python"
-    return None, f"has no file controllers/{name}/{name}.py; name another one: {_option(robot.name)}"
+    return None, f"has no file controllers/{name}/{name}.py; name another one: {naming}"
 
 
 # Equivalents

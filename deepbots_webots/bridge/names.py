@@ -7,8 +7,6 @@ import re
 EMITTER, RECEIVER = "emitter", "receiver"
 OWN_NODES = ("SUPERVISOR", "GROUND", "WORLD_INFO")
 """The DEF names that each project has."""
-TRAINING = "TRAIN"
-"""The controller that trains, in the capitals of DEF names."""
 
 
 def def_name(*parts: str) -> str:

@@ -13,20 +13,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 from deepbots_cli import api, engines
 from deepbots_cli.codegen import load_module
 from deepbots_cli.codegen.names import class_name
 from deepbots_cli.codegen.robot import controller_names
-from deepbots_cli.learning.sb3.defaults import effective_hyperparameters
 from deepbots_cli.port import Engine, EngineProxy
 from deepbots_cli.program import Program
 from deepbots_cli.program.robots import Direction, Robot
-from deepbots_cli.program.task import Hyperparameter, Training
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.records import dataclass
 from deepbots_cli.runtime import RobotController, Supervisor
@@ -34,20 +31,10 @@ from deepbots_cli.runtime.actuation import SupervisedRobots
 from deepbots_cli.runtime.copies import copy_name, make_environment, world_with_copies
 from deepbots_cli.runtime.messages import FieldCodec
 from deepbots_cli.runtime.streams import Streams
-from deepbots_webots.bridge.plant import MirrorEngine, Plant
+from deepbots_webots.bridge.mirror import MirrorEngine
 
 START = "start"
 """The first cell of the message that begins an episode."""
-
-
-class Host(Protocol):
-    """The environment of deepbots in Webots that sends and receives."""
-
-    def send_to(self, robot: str, cells: Sequence[object]) -> None:
-        """Send a message of comma-separated values."""
-
-    def receive_from(self, robot: str) -> list[str] | None:
-        """Return the next message of a robot, None without one."""
 
 
 class ReaderLog(EngineProxy):
@@ -68,15 +55,8 @@ class ReaderLog(EngineProxy):
         return read
 
     def readings(self) -> list[Any]:
-        """Return the value of each reader, as lists of numbers."""
-        return [_plain(read()) for read in self.readers]
-
-
-def _plain(value: Any) -> Any:
-    """Return a reading as a value of JSON."""
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    return bool(value) if isinstance(value, bool) else float(value)
+        """Return the value of each reader."""
+        return [read() for read in self.readers]
 
 
 class RemoteRobot:
@@ -103,7 +83,7 @@ class RemoteRobot:
             "anew": streams is not self._streams,
             "readings": self.log.readings(),
         }
-        self.start = [START, *json.dumps(values).split(",")]
+        self.start = [START, *json.dumps(values, default=lambda array: array.tolist()).split(",")]
         self._streams = streams
         self.controller.begin(streams)
         self._is_first = True
@@ -207,7 +187,7 @@ class HasWebotsRobots(SupervisedRobots):
         return channel
 
 
-def exchange(host: Host, task: Supervisor, step: Callable[[], None]) -> Callable[[], None]:
+def exchange(host: Any, task: Supervisor, step: Callable[[], None]) -> Callable[[], None]:
     """Return the function that lets a timestep pass: it sends, steps, and receives."""
     lines = list(lines_of(task))
 
@@ -246,8 +226,6 @@ def lines_of(task: Supervisor) -> Any:
 
 
 SCENARIO, MODULE = "scenario.yaml", "environment.py"
-ON_POLICY = ("PPO", "A2C")
-LEARNERS = frozenset([*ON_POLICY, "DQN", "SAC", "TD3", "DDPG"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,25 +254,6 @@ class Project:
         return robots
 
     @property
-    def training(self) -> Training:
-        """The training of `train.py`: that of the scenario, if its algorithm is one of Stable-Baselines3.
-
-        An update has as many steps in the one world of Webots as in all worlds of the scenario: with 64 steps,
-        the return of CartPole is 124 of 200 after 28,700 steps, and with its 512 it is 185.
-        """
-        agent, training = self.program.agent, self.program.agent.training
-        if training is not None and training.algorithm in LEARNERS:
-            settings = {each.name: each for each in training.hyperparameters}
-            if training.algorithm in ON_POLICY:
-                settings |= {
-                    each.name: Hyperparameter(each.name, each.value * training.environments)
-                    for each in effective_hyperparameters(self.program, training.total_timesteps)
-                    if each.name == "n_steps" and isinstance(each.value, int)
-                }
-            return replace(training, replay=None, hyperparameters=tuple(settings.values()))
-        return Training("PPO" if agent.choices else "SAC", 100_000)
-
-    @property
     def timestep_ms(self) -> int:
         return round(self.program.world.timestep * 1000)
 
@@ -308,13 +267,12 @@ class Project:
         bridged = type(kind.__name__, (HasWebotsRobots, kind), {"__doc__": kind.__doc__})
         return make_environment(bridged, self.program, lambda _: engine)
 
-    def task(self, supervisor: Host) -> Supervisor:
-        """Return the environment of the scenario in the world of a Webots supervisor."""
-        engine = engines.create("mujoco", self.world)
-        plant = Plant(supervisor, self.world)
-        mirror = MirrorEngine(engine, plant, self.world)
+    def task(self, supervisor: Any) -> Supervisor:
+        """Return the environment of the scenario in the world of a Webots supervisor, the class in
+        `webots_environment.py`, which sends by `send_to` and receives by `receive_from`."""
+        mirror = MirrorEngine(engines.create("mujoco", self.world), supervisor, self.world)
         task = self.supervisor(mirror)
-        mirror.let_timestep_pass = exchange(supervisor, task, lambda: plant.wait(self.timestep_ms))
+        mirror.let_timestep_pass = exchange(supervisor, task, mirror.wait)
         return task
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import field
 from math import inf
@@ -34,7 +34,6 @@ from deepbots_cli.words import shell_word
 from deepbots_webots.bridge import names
 from deepbots_webots.bridge.project import (
     MODULE,
-    ON_POLICY,
     SCENARIO,
     Project,
     ReaderLog,
@@ -42,12 +41,11 @@ from deepbots_webots.bridge.project import (
     lines_of,
     project_of,
 )
+from deepbots_webots.bridge.robot import RobotDevices
 from deepbots_webots.export.world import WorldWriter, joint_stops, world_text
 
 OVERRIDES = ("messages.timing=delayed", "messages.format=csv")
 """The settings of a scenario in Webots: messages take a timestep, and those of deepbots are texts."""
-_LEFT_OUT = ("replay", "normalize", "teacher", "patience", "symmetry", "self_play")
-"""What a training may have, and `train.py` has not."""
 
 
 def export(
@@ -75,14 +73,17 @@ def export(
         ref = ModelRef.open(opened, model="last" if last else "best")
         run = run_to_export(ref.run, agent)
         prepared = prepare(Source.open(run.path, permissions, SourceKind.RUN))
-        note_training(prepared, run.program)
+        if run.program.timing != "delayed":
+            prepared.gaps.differs.append(
+                "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
+                " returns."
+            )
+        policy = policy_of_run(run, ref.name)
     else:
         prepared = prepare(opened, overrides)
     if not as_json:
         for sentence in prepared.gaps.differs:
             terminal.note(f"differs in Webots: {sentence}")
-    if is_run:
-        policy = policy_of_run(run, ref.name)
     contents = project_files(prepared, policy)
     write_new(contents, folder, force=force)
     world = next(path for path in contents if path.suffix == ".wbt")
@@ -120,35 +121,20 @@ def prepare(source: Source, overrides: Sequence[str] = ()) -> WebotsProject:
     project = project_of(compiled)
     recorder = EngineRecorder(engines.create("mujoco", project.world))
     with closing(recorder), closing(project.supervisor(recorder)) as task:
-        dynamic_gaps(recorder, task, gaps)
+        _gaps_of_calls(recorder, task, gaps)
+        _require_none(compiled.program, gaps)
+        _gaps_of_episodes(recorder, task, gaps)
         task.reset(seed=0)
         bodies = [body.name for body in project.world.objects] + [*project.robots]
         starts = {name: recorder.pose(name)() for name in bodies}
-    _require_none(compiled.program, gaps)
-    if left_out := _left_out(project):
-        gaps.differ(f"The training of `train.py` leaves out {', '.join(left_out)}.")
-    training = project.training
-    if training.environments > 1 and training.algorithm in ON_POLICY:
-        gaps.differ(
-            f"`train.py` trains in one world instead of {training.environments}, with as many steps in each"
-            " update."
-        )
+    gaps.differs = list(dict.fromkeys(gaps.differs))  # those of each robot once
     remotes = {name: remote for name, remote, *_ in reversed([*lines_of(task)])}
     return WebotsProject(compiled, project, remotes, gaps, starts)
 
 
-def note_training(prepared: WebotsProject, trained: Program) -> None:
-    """Add what differs from the training of a policy."""
-    if trained.timing != "delayed":
-        prepared.gaps.differ(
-            "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
-            " returns."
-        )
-
-
 def _require_none(program: Program, gaps: Gaps) -> None:
     if gaps.missing:
-        sentences = "\n".join(f"  {sentence}" for sentence in gaps.missing)
+        sentences = "\n".join(f"  {sentence}" for sentence in dict.fromkeys(gaps.missing))
         raise UsageError(f"{program.name} cannot be exported to Webots:\n{sentences}")
 
 
@@ -162,10 +148,9 @@ def project_files(prepared: WebotsProject, policy: bytes | None = None) -> dict[
     program = compiled.program
     world = re.sub(r"\W+|(?<=[a-z0-9])(?=[A-Z])", "_", program.name).lower()
     texts = _texts(prepared, world, policy)
-    for controller, suffix in (("supervisor", ""), ("train", "_train")):
-        info = f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}"
-        writer = WorldWriter(project, prepared.remotes, prepared.starts, info)
-        texts[f"worlds/{world}{suffix}.wbt"] = world_text(writer.nodes(controller))
+    info = f"Written by deepbots {deepbots_cli.__version__} from scenario {compiled.digest[:12]}"
+    writer = WorldWriter(project, prepared.remotes, prepared.starts, info)
+    texts[f"worlds/{world}.wbt"] = world_text(writer.nodes())
     texts[f"scenario/{SCENARIO}"], texts[f"scenario/{MODULE}"] = compiled.resolved, formatted(compiled.code)
     files = {PurePosixPath(path): text.encode() for path, text in texts.items()}
     if policy is not None:
@@ -202,52 +187,18 @@ def _texts(prepared: WebotsProject, world: str, policy: bytes | None) -> dict[st
         "has_policy": policy is not None,
         "controllers": list(controllers),
         "differs": prepared.gaps.differs,
-        "algorithm": project.training.algorithm,
-        "longest_episode": program.truncation.max_episode_steps(program.period),
     }
-    texts = {
-        path: templates.get_template(template).render(words)
-        for path, template in (
-            ("README.md", "README.md.j2"),
-            ("controllers/supervisor/webots_environment.py", "webots_environment.py.j2"),
-            ("controllers/supervisor/supervisor.py", "supervisor.py.j2"),
-            ("controllers/train/train.py", "train.py.j2"),
-        )
+    paths = {
+        "README.md": "README.md.j2",
+        "requirements.txt": "requirements.txt.j2",
+        "controllers/supervisor/webots_environment.py": "webots_environment.py.j2",
+        "controllers/supervisor/supervisor.py": "supervisor.py.j2",
     }
-    for name, spec in controllers.items():
-        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(
-            {
-                **words,
-                "class_name": class_name(name),
-                "robots": f"the robot {spec.name}",
-                "sent": _fields(spec.from_robot.fields),
-                "received": _fields(spec.to_robot.fields),
-            }
-        )
-    texts["requirements.txt"] = _REQUIREMENTS
+    texts = {path: templates.get_template(name).render(words) for path, name in paths.items()}
+    for name, robot in controllers.items():
+        robot_words = {**words, "class_name": class_name(name), "robot": robot}
+        texts[f"controllers/{name}/{name}.py"] = templates.get_template("robot.py.j2").render(robot_words)
     return texts
-
-
-def _fields(fields: Sequence[Any]) -> str:
-    return ", ".join(field.name for field in fields) or "nothing"
-
-
-def _left_out(project: Project) -> list[str]:
-    """Return what `train.py` has not of the training of a scenario, by the names of the scenario."""
-    training = project.program.agent.training
-    if training is None:
-        return []
-    if training.algorithm != project.training.algorithm:
-        return [f"`algorithm: {training.algorithm}` with its settings"]
-    return [f"`{name}`" for name in _LEFT_OUT if getattr(training, name)]
-
-
-_REQUIREMENTS = (
-    f"# deepbots {deepbots_cli.__version__} is installed from a clone; write its path here\n"
-    "# deepbots-cli[train] @ file:///PATH/TO/THE/CLONE\n"
-    "# deepbots-webots @ file:///PATH/TO/THE/CLONE/deepbots_webots\n"
-    "mujoco\nonnxruntime\nstable-baselines3\n"
-)
 
 
 def policy_of_run(run: Any, model: Any) -> bytes:
@@ -277,12 +228,6 @@ def policy_of_run(run: Any, model: Any) -> bytes:
 
 SEEDS = range(3)
 """The seeds of the episodes that deepbots begins to see what varies between them."""
-_OF_ROBOTS = frozenset(
-    (
-        *("joint_states", "joint_torques", "pose", "velocity", "motion", "rays"),
-        *("velocity_motor", "position_motor", "torque_motor"),
-    )
-)
 _MISSING = {
     "contact": "Touch sensors of robots",
     "contact_force": "Contact forces",
@@ -300,7 +245,6 @@ _MISSING = {
 _OF_SUPERVISOR = frozenset(
     ["contact_force", "contact_force_vector", "joint_torques", "joint_wrench", "camera", "pusher"]
 )
-_LOOKS = frozenset(["light", "color"])
 
 
 @dataclass
@@ -310,14 +254,6 @@ class Gaps:
     missing: list[str] = field(default_factory=list)
     """The reasons for which a scenario is refused."""
     differs: list[str] = field(default_factory=list)
-
-    def miss(self, sentence: str) -> None:
-        if sentence not in self.missing:
-            self.missing.append(sentence)
-
-    def differ(self, sentence: str) -> None:
-        if sentence not in self.differs:
-            self.differs.append(sentence)
 
 
 class EngineRecorder(ReaderLog):
@@ -358,96 +294,89 @@ def static_gaps(program: Program) -> Gaps:
         (any(program.world.gravity[:2]), "Gravity that is not vertical cannot be exported."),
     ):
         if is_there:
-            gaps.miss(sentence)
-    robots = [robot.name for robot in program.world.robots]
-    bodies = [*robots, *(body.name for body in program.world.objects)]
+            gaps.missing.append(sentence)
+    bodies = [
+        *(robot.name for robot in program.world.robots),
+        *(body.name for body in program.world.objects),
+    ]
     taken = Counter([*map(names.def_name, bodies), *names.OWN_NODES])
     for body_name in bodies:
-        name = names.def_name(body_name)
-        if taken[name] > 1 or (name == names.TRAINING and body_name in robots):
-            gaps.miss(f"Another part of the project in Webots has the name of {body_name}: rename it.")
+        if taken[names.def_name(body_name)] > 1:
+            gaps.missing.append(
+                f"Another part of the project in Webots has the name of {body_name}: rename it."
+            )
     for body in program.world.objects:
         if body.pooled or body.variants:
-            gaps.miss(f"The object {body.name}, which some episodes leave out or change, cannot be exported.")
+            gaps.missing.append(
+                f"The object {body.name}, which some episodes leave out or change, cannot be exported."
+            )
     if program.world.lines:
-        gaps.differ("Lines on the ground are not drawn; sensors of brightness read them all the same.")
+        gaps.differs.append(
+            "Lines on the ground are not drawn; sensors of brightness read them all the same."
+        )
     for robot in program.robots:
         _gaps_of_robot(program, robot, gaps)
-    gaps.differ(
+    gaps.differs.append(
         "Messages take one timestep in each direction (`timing: delayed`), and are comma-separated values."
     )
-    gaps.differ("The physics, and with it the returns, are those of Webots.")
+    gaps.differs.append("The physics, and with it the returns, are those of Webots.")
     return gaps
 
 
 def _gaps_of_robot(program: Program, robot: Robot, gaps: Gaps) -> None:
-    for sensor in robot.sensors:
-        if sensor.optics is not None:
-            gaps.miss(f"The camera {sensor.name} of {robot.name} cannot be exported.")
     for actuator in robot.actuators:
-        if not isinstance(actuator, Motor):
-            gaps.miss(
-                f"The actuator {actuator.name} of {robot.name} cannot be exported: it is not a motor of a"
-                " joint."
-            )
-        elif actuator.stiffness is not None or actuator.no_load_speed is not None:
-            gaps.miss(
+        if isinstance(actuator, Motor) and (
+            actuator.stiffness is not None or actuator.no_load_speed is not None
+        ):
+            gaps.missing.append(
                 f"The motor {actuator.name} of {robot.name} cannot be exported: motors of Webots have no"
                 " stiffness, and no torque that falls with their speed."
             )
     if not (robot.to_route.perfect and robot.from_route.perfect):
-        gaps.differ("Latency, loss and range of messages are left out.")
+        gaps.differs.append("Latency, loss and range of messages are left out.")
     model = next(body.model for body in program.world.robots if body.name == robot.name)
     for joint in model.joints:
-        for sentence, is_missing in _gaps_of_joint(robot.name, joint):
-            (gaps.miss if is_missing else gaps.differ)(sentence)
+        _gaps_of_joint(f"the joint {joint.name} of {robot.name}", joint, gaps)
 
 
-def _gaps_of_joint(robot: str, joint: Joint) -> Iterator[tuple[str, bool]]:
-    """Yield sentences, and whether they refuse the scenario."""
-    name = f"the joint {joint.name} of {robot}"
+def _gaps_of_joint(name: str, joint: Joint, gaps: Gaps) -> None:
     if joint.type in ("floating", "planar"):
-        yield f"Webots has no {joint.type} joints, such as {name}.", True
-        return
-    if joint.mimic is not None and joint.moves:
-        yield f"Webots has no joints that follow another one, such as {name}.", True
-    low, high = joint.ends(inf)
-    if joint.moves and not low <= 0.0 <= high:
-        yield f"The limits of {name} do not contain 0, as those of Webots must.", True
-    elif joint.moves and min(-low, high) < inf and joint_stops(joint) is None:
-        yield f"The limits of {name} are beyond 180 degrees, and are left out.", False
+        gaps.missing.append(f"Webots has no {joint.type} joints, such as {name}.")
+    elif joint.moves:
+        low, high = joint.ends(inf)
+        if joint.mimic is not None:
+            gaps.missing.append(f"Webots has no joints that follow another one, such as {name}.")
+        if not low <= 0.0 <= high:
+            gaps.missing.append(f"The limits of {name} do not contain 0, as those of Webots must.")
+        elif min(-low, high) < inf and joint_stops(joint) is None:
+            gaps.differs.append(f"The limits of {name} are beyond 180 degrees, and are left out.")
     if joint.armature:
-        yield f"The armature of {name} is left out.", False
+        gaps.differs.append(f"The armature of {name} is left out.")
 
 
-def dynamic_gaps(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
-    """Add what the generated code asks of its engine: when it is bound, and in a few episodes."""
-    for agent in task.agents.values():
-        for remote in agent.controllers.values():
-            if isinstance(remote, RemoteRobot):
-                _gaps_of_calls(remote, gaps)
+def _gaps_of_calls(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
+    """Add what the generated code asks of its engine when it is bound."""
+    for _, remote, *_ in lines_of(task):
+        for method, _, options in remote.log.calls:
+            if not hasattr(RobotDevices, method):
+                gaps.missing.append(f"{_MISSING[method]} cannot be exported.")
+            if options.get("upright"):
+                gaps.missing.append("Rays that stay level when the robot tilts cannot be exported.")
     methods = {method for method, *_ in recorder.calls}
     for method in sorted(methods & _OF_SUPERVISOR):
-        gaps.miss(f"{_MISSING[method]} cannot be exported.")
+        gaps.missing.append(f"{_MISSING[method]} cannot be exported.")
     if "contact" in methods:
-        gaps.differ("A contact counts if it lasts until the end of a timestep.")
+        gaps.differs.append("A contact counts if it lasts until the end of a timestep.")
+
+
+def _gaps_of_episodes(recorder: EngineRecorder, task: Supervisor, gaps: Gaps) -> None:
+    """Add what differs between a few episodes."""
     for seed in SEEDS:
         task.reset(seed=seed)
     if any(getattr(agent, "has_varied_sensors", False) for agent in task.agents.values()):
-        gaps.differ("Faults of sensors that an episode draws have their nominal values.")
-    varied = sorted(recorder.parameters - _LOOKS - {"gravity"})
-    if varied:
+        gaps.differs.append("Faults of sensors that an episode draws have their nominal values.")
+    if varied := sorted(recorder.parameters - {"gravity"}):
         parameters = ", ".join(name.replace("_", " ") for name in varied)
-        gaps.differ(f"Changes of {parameters} between episodes are left out.")
-    if recorder.parameters & _LOOKS:
-        gaps.differ("Colors and light that episodes vary have their usual values.")
+        gaps.differs.append(f"Changes of {parameters} between episodes are left out.")
     if recorder.has_joint_velocities:
-        gaps.differ("Joints are at rest at the start of an episode.")
-
-
-def _gaps_of_calls(remote: RemoteRobot, gaps: Gaps) -> None:
-    for method, _, options in remote.log.calls:
-        if method not in _OF_ROBOTS:
-            gaps.miss(f"{_MISSING[method]} cannot be exported.")
-        if options.get("upright"):
-            gaps.miss("Rays that stay level when the robot tilts cannot be exported.")
+        gaps.differs.append("Joints are at rest at the start of an episode.")

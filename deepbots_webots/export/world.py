@@ -147,8 +147,8 @@ class WorldWriter:
         self._materials: dict[tuple[float, float, float, float], str] = {}
         self._basic_step = _divisor(project.timestep_ms, project.timestep_ms / self._world.substeps)
 
-    def nodes(self, supervisor: str) -> Iterator[NodeText]:
-        """Yield the nodes of the world; `supervisor` is the controller of the supervisor."""
+    def nodes(self) -> Iterator[NodeText]:
+        """Yield the nodes of the world."""
         # The bodies are made first, because they name the surfaces whose contacts WorldInfo lists.
         bodies = [*self._bodies()]
         yield self._world_info()
@@ -156,7 +156,7 @@ class WorldWriter:
         yield node("Background", skyColor=[(0.7, 0.8, 0.9)], luminosity=0.8)
         yield node("DirectionalLight", direction=(0.3, -0.4, -0.87), intensity=2.0, castShadows=True)
         yield from bodies
-        yield self._supervisor(supervisor)
+        yield self._supervisor()
 
     def _bodies(self) -> Iterator[NodeText]:
         yield from self._ground()
@@ -259,7 +259,7 @@ class WorldWriter:
             boundingObject=relief,
         )
 
-    def _supervisor(self, controller: str) -> NodeText:
+    def _supervisor(self) -> NodeText:
         receivers = [
             node("Receiver", name=names.receiver_of(name), channel=names.from_robot_channel(index))
             for index, name in enumerate(self._robots)
@@ -268,7 +268,7 @@ class WorldWriter:
             "Robot",
             "SUPERVISOR",
             name="supervisor",
-            controller=controller,
+            controller="supervisor",
             supervisor=True,
             children=[node("Emitter", name=names.EMITTER), *receivers],
         )

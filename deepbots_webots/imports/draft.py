@@ -14,36 +14,38 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from functools import cached_property
-from math import hypot, isfinite
+from itertools import chain
+from math import isfinite
 from pathlib import Path
 
 from deepbots_cli.diagnostics import Span
 from deepbots_cli.errors import UsageError
 from deepbots_cli.records import dataclass
+from deepbots_cli.robots.model import Pose, RobotModel
 from deepbots_webots.imports.world import (
-    Built,
     Names,
     RobotParts,
     Surroundings,
     build,
     plain,
+    pose_text,
     robot_parts,
     surroundings,
 )
 from deepbots_webots.nodes import integer, number, real, text, vectors, walk
 from deepbots_webots.project import Files, World, programs, read_world
-from deepbots_webots.scene import AXES, Body, Device, Robot, Scene, build_scene
+from deepbots_webots.scene import AXES, Body, Device, Scene, build_scene
 from deepbots_webots.shapes import pose_of
 from deepbots_webots.syntax import Node, WorldFindings
 
+_NAMING = "its folder in the field `controller` of the world, for its Python to be quoted"
 MAX_FILES = 30
 MAX_CHARACTERS = 300_000
-MAX_CLASSES = 500
 MAX_BASES = 8
-MAX_VALUES = 100
-"""The maximum numbers of files and their characters, of classes and their bases, and of values."""
+"""The maximum numbers of files and their characters, and of the bases of a class."""
 MAX_LINES = 60
-"""The maximum number of lines of a quote."""
+MAX_COLUMNS = 140
+"""The maximum size of a quote."""
 
 ROBOT_BASES = frozenset(
     ["CSVRobot", "EmitterReceiverRobot", "RobotEmitterReceiverCSV", "RobotEmitterReceiver", "DeepbotsRobot"]
@@ -51,8 +53,6 @@ ROBOT_BASES = frozenset(
 SUPERVISOR_BASES = frozenset(
     ["CSVSupervisorEnv", "EmitterReceiverSupervisorEnv", "SupervisorCSV", "SupervisorEmitterReceiver"]
 )
-_BINDS_UNSEEN = frozenset(["setattr", "exec", "eval", "globals", "vars", "__dict__"])
-"""Names of Python that may bind names which the files do not show."""
 
 
 @dataclass(frozen=True)
@@ -84,66 +84,59 @@ class Module:
         """Return the name of a class or function without its module."""
         return self.aliases.get(_last_name(node), _last_name(node))
 
-    @cached_property
-    def classes(self) -> list[ast.ClassDef]:
-        return [node for node in ast.walk(self.tree) if isinstance(node, ast.ClassDef)]
-
 
 @dataclass(frozen=True)
 class Normalized:
-    """A call of `normalize_to_range` with a constant range; `name` is that of its result, or ""."""
+    """A call of `normalize_to_range` with a constant range: the name of its result, and the range as YAML."""
 
     name: str
     location: str
-    low: float
-    high: float
-    clips: bool
+    range: str
 
 
 @dataclass(eq=False)
 class Controller:
     """A class derived from one of deepbots, with the methods of its bases in the project; `nodes` are the
-    class and these bases."""
+    class and these bases. A robot without such a class has one without methods."""
 
-    name: str
-    modules: Sequence[Module]
+    modules: Sequence[Module] = ()
     nodes: list[ast.ClassDef] = field(default_factory=list)
     methods: dict[str, tuple[Module, ast.FunctionDef]] = field(default_factory=dict)
 
     def quote(self, method: str, about: str) -> Quote:
-        """Return a method of the class with its lines."""
+        """Return a method of the class with its lines, if it has the method."""
+        if method not in self.methods:
+            return Quote(about)
         module, function = self.methods[method]
         lines = _source(module, _body(function))
         return Quote(about, f"{module.file}:{function.lineno}: def {method}", lines)
 
+    def writes(self, method: str, *, but_not: bool | None = None) -> bool:
+        """Return whether the project writes a method, and not one that only returns a constant."""
+        returned = self.returned(method)
+        is_constant = isinstance(returned, ast.Constant) and returned.value is but_not
+        return method in self.methods and not is_constant
+
     def returned(self, method: str) -> ast.expr | None:
         """Return what a method returns that has no other statement; None for any other method."""
-        _, function = self.methods[method]
-        match _body(function):
-            case [ast.Return(value=value)] if self._is_plain(method):
+        match _body(self.methods[method][1]) if self._is_plain(method) else []:
+            case [ast.Return(value=value)]:
                 return value
         return None
 
     def _is_plain(self, method: str) -> bool:
-        """Return whether the files write a method exactly once, without a decorator, and nothing in its
-        place."""
-        definitions = 0
-        for node in (each for module in self.modules for each in ast.walk(module.tree)):
-            match node:
-                case ast.Name(id=name) | ast.Attribute(attr=name) if name in _BINDS_UNSEEN:
-                    return False
-                case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
-                    definitions += name == method
-                case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
-                    definitions += name == method
-        return definitions == 1 and not self.methods[method][1].decorator_list
+        """Return whether the files define a method exactly once, without a decorator."""
+        nodes = (node for module in self.modules for node in ast.walk(module.tree))
+        definitions = [node for node in nodes if isinstance(node, ast.FunctionDef) and node.name == method]
+        is_one = len(definitions) == 1 and method in self.methods
+        return is_one and not self.methods[method][1].decorator_list
 
     def normalized(self) -> list[Normalized]:
         """Return the calls in `get_observations` that map a constant range to another, in their order."""
-        if "get_observations" not in self.methods or not self._is_plain("get_observations"):
+        if not self._is_plain("get_observations"):
             return []
         module, function = self.methods["get_observations"]
-        names = {
+        results = {
             statement.value: statement.targets[0].id
             for statement in ast.walk(function)
             if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name)
@@ -154,23 +147,33 @@ class Controller:
             if isinstance(node, ast.Call)
             and module.resolved(node.func) in {"normalize_to_range", "normalizeToRange"}
         ]
-        calls.sort(key=lambda call: (call.lineno, call.col_offset))
-        read = (self._normalized(module, call, names.get(call, "")) for call in calls[:MAX_VALUES])
-        return [normalized for normalized in read if normalized is not None]
+        names = Names()
+        normalized: list[Normalized] = []
+        for call in sorted(calls, key=lambda call: (call.lineno, call.col_offset)):
+            if ends := _constant_range(call):
+                name = names.new(results.get(call) or f"value_{len(normalized)}", "value")
+                normalized.append(Normalized(name, f"{module.file}:{call.lineno}", ends))
+        return normalized
 
-    def _normalized(self, module: Module, call: ast.Call, name: str) -> Normalized | None:
-        keywords = {keyword.arg: keyword.value for keyword in call.keywords}
-        positional = dict(
-            zip(("value", "min_val", "max_val", "new_min", "new_max", "clip"), call.args, strict=False)
-        )
-        arguments = positional | keywords
-        low, high = stated_number(arguments.get("min_val")), stated_number(arguments.get("max_val"))
-        if low is None or high is None or not low < high or None in keywords:
-            return None
-        match arguments.get("clip", ast.Constant(False)):
-            case ast.Constant(value=clips):
-                return Normalized(name, f"{module.file}:{call.lineno}", low, high, bool(clips))
+
+def _constant_range(call: ast.Call) -> str | None:
+    """Return the range of a call of `normalize_to_range` as YAML; None if it is not constant."""
+    arguments: dict[str | None, ast.expr] = dict(
+        zip(("value", "min_val", "max_val", "new_min", "new_max", "clip"), call.args, strict=False)
+    )
+    arguments |= {keyword.arg: keyword.value for keyword in call.keywords}
+    low, high = stated_number(arguments.get("min_val")), stated_number(arguments.get("max_val"))
+    clips = arguments.get("clip", ast.Constant(False))
+    if (
+        low is None
+        or high is None
+        or not low < high
+        or None in arguments
+        or not isinstance(clips, ast.Constant)
+    ):
         return None
+    ends = f"{plain(low)} .. {plain(high)}"
+    return ends if clips.value else f"{{range: {ends}, clip: false}}"
 
 
 def stated_number(node: ast.expr | None) -> float | None:
@@ -194,7 +197,8 @@ def _source(module: Module, nodes: Sequence[ast.stmt | ast.expr]) -> tuple[str, 
     if not nodes:
         return ()
     lines = module.lines[nodes[0].lineno - 1 : nodes[-1].end_lineno]
-    shown = textwrap.dedent("\n".join(line.expandtabs(4) for line in lines)).splitlines()
+    dedented = textwrap.dedent("\n".join(line.expandtabs(4) for line in lines)).splitlines()
+    shown = [line[:MAX_COLUMNS] for line in dedented]
     return (*shown[:MAX_LINES], "...") if len(shown) > MAX_LINES else tuple(shown)
 
 
@@ -215,11 +219,11 @@ def controllers(modules: Sequence[Module], bases: frozenset[str]) -> list[Contro
     """Return the classes that derive from one of these, and from which no other class does."""
     classes: Classes = {}
     for module in modules:
-        for node in module.classes:
+        for node in (each for each in ast.walk(module.tree) if isinstance(each, ast.ClassDef)):
             classes.setdefault(node.name, []).append((module, node))
     controllers = []
-    for module, node in [pair for pairs in classes.values() for pair in pairs][:MAX_CLASSES]:
-        controller = Controller(node.name, modules)
+    for module, node in [pair for pairs in classes.values() for pair in pairs]:
+        controller = Controller(modules)
         if _collect(controller, module, node, bases, classes):
             controllers.append(controller)
     further = {id(base) for controller in controllers for base in controller.nodes[1:]}
@@ -244,12 +248,6 @@ def _collect(
 
 
 # Files
-
-
-def texts_of(modules: Sequence[Module]) -> set[str]:
-    """Return all texts of Python files, among them the names of nodes and of devices."""
-    nodes = (node for module in modules for node in ast.walk(module.tree))
-    return {node.value for node in nodes if isinstance(node, ast.Constant) and isinstance(node.value, str)}
 
 
 def read_modules(files: Files, path: Path, span: Span, findings: WorldFindings) -> list[Module]:
@@ -291,11 +289,9 @@ def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFin
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # such as one about an unknown escape in a text
-            tree = ast.parse(text)
+            tree = ast.parse(text, file)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-        reason = error.msg if isinstance(error, SyntaxError) else "it is nested too deeply, or is no text"
-        line = f":{error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
-        findings.warning(span, f"{file}{line} is not read: {reason}")
+        findings.warning(span, f"{file} is not read: {error or 'it is nested too deeply'}")
         return None
     name = path.parent.name if path.stem == "__init__" else path.stem
     return Module(file, name, text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), tree)
@@ -303,6 +299,7 @@ def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFin
 
 # Devices
 
+_UNITS = {"revolute": "rad", "continuous": "rad", "prismatic": "m"}
 _RAYS = {"infra-red": "infrared", "sonar": "sonar", "laser": "laser", "generic": "laser"}
 _ON_LINKS = {
     "Gyro": "gyro",
@@ -327,7 +324,10 @@ _WORDS = {
 
 def sensor_text(device: Device, parts: RobotParts) -> str | None:
     """Return the sensor for a device as YAML; None where the language has no counterpart."""
-    mount = f"link: {parts.link_of(device.body)}{_pose(device, parts)}"
+    frame = parts.frame_in_link(device.body, device.frame)
+    mount = f"link: {parts.link_of(device.body)}"
+    if pose_of(frame) != Pose():
+        mount += f", pose: {pose_text(frame)}"
     match device.type:
         case "PositionSensor" if device.joint is not None:
             unit = "m" if device.joint.kind == "slide" else "rad"
@@ -345,13 +345,6 @@ def sensor_text(device: Device, parts: RobotParts) -> str | None:
         case kind if kind in _ON_LINKS:
             return f"{{type: {_ON_LINKS[kind]}, {mount}}}"
     return None
-
-
-def _pose(device: Device, parts: RobotParts) -> str:
-    pose = pose_of(parts.frame_in_link(device.body, device.frame))
-    entries = ((pose.xyz, f"xyz: {plain(*pose.xyz)} m"), (pose.rpy, f"rpy: {plain(*pose.rpy)} rad"))
-    pose_entries = [entry for value, entry in entries if hypot(*value) > 1e-9]
-    return f", pose: {{{', '.join(pose_entries)}}}" if pose_entries else ""
 
 
 def _distance(node: Node, mount: str) -> str | None:
@@ -379,16 +372,15 @@ def _distance(node: Node, mount: str) -> str | None:
 class DraftRobot:
     """A robot of the scenario: its model, and the entries of its section as pairs of name and YAML.
 
-    `controller` is its class of deepbots, if it has one. `unused` are sensors that the project does not name,
-    and `left_out` devices that measure and have no counterpart. `readings` are names of sensors by the names
-    of devices, and `motors` have their joint and their highest speed.
+    `controller` is its class of deepbots; a robot that `acts` may have none. `unused` are sensors that the
+    project does not name, and `left_out` devices that measure and have no counterpart. `readings` are names
+    of sensors by the names of devices, and `motors` have their joint and their highest speed.
     """
 
-    name: str
     parts: RobotParts
-    robot: Robot | None
-    built: Built
-    controller: Controller | None = None
+    model: RobotModel
+    controller: Controller
+    acts: bool
     sensors: dict[str, str] = field(default_factory=dict)
     unused: dict[str, str] = field(default_factory=dict)
     left_out: list[str] = field(default_factory=list)
@@ -398,7 +390,8 @@ class DraftRobot:
     def add_devices(self, texts: set[str]) -> None:
         """Add the sensors and motors for the devices of the robot; `texts` are those of the project."""
         names = Names()
-        for device in self.robot.devices.values() if self.robot is not None else ():
+        robot = self.parts.root.robot
+        for device in robot.devices.values() if robot is not None else ():
             sensor = sensor_text(device, self.parts)
             if sensor is not None:
                 name = self.readings[device.name] = names.new(device.name, "sensor")
@@ -420,7 +413,7 @@ class Draft:
     surroundings: Surroundings
     robots: list[DraftRobot]
     agent: DraftRobot
-    judge: Controller | None
+    judge: Controller
     has_messages: bool
     bodies: dict[str, str]
     findings: WorldFindings
@@ -429,14 +422,26 @@ class Draft:
         """Return what names in the Python of the project are in the scenario."""
         bodies = [f"{label}: {name}" for label, name in self.bodies.items()]
         readings = [
-            f"{device}: {self.agent.name}.{name}"
+            f"{device}: {self.agent.parts.name}.{name}"
             for device, name in self.agent.readings.items()
             if name in self.agent.sensors
         ]
-        module_lines = self.judge.modules if self.judge is not None else ()
-        python = "\n".join(line for module in module_lines for line in module.lines)
+        python = "\n".join(line for module in self.judge.modules for line in module.lines)
         words = [f"{name}(): {word}" for name, word in _WORDS.items() if f"{name}(" in python]
         return [*bodies, *readings, *words]
+
+    def starts(self) -> list[str]:
+        """Return the positions of joints at the start that are not 0, as YAML."""
+        return [
+            f"{robot.parts.name}.{joint}: {plain(value)} {_UNITS[robot.model.joint(joint).type]}"
+            for robot in self.robots
+            for joint, value in robot.parts.starts.items()
+        ]
+
+    @property
+    def command(self) -> str:
+        """The method by which the project commands its motors."""
+        return "use_message_data" if self.has_messages else "apply_action"
 
 
 def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
@@ -452,9 +457,19 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
         hint = "convert the project by convert_nue_to_enu_rub_to_flu.py of Webots"
         world.findings.error(world.span, "the axes of the world are not ENU, as those of scenarios", hint)
     world.findings.require_none()
-    roots = _roots(scene)
+    roots = {
+        body.robot.index: body
+        for body in reversed(scene.bodies)
+        if body.robot is not None and body.parent is None
+    }
     modules = _modules(world, scene)
-    texts = texts_of([module for each in modules.values() for module in each])
+    # All texts of the Python, among them the names of nodes and of devices.
+    texts = {
+        node.value
+        for module in chain(*modules.values())
+        for node in ast.walk(module.tree)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
     acting, judge, has_messages = _roles(scene, roots, modules)
     if not acting:
         raise UsageError(f"no robot of {world.path} has a motor, so a policy could not control it")
@@ -462,22 +477,22 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     used = [node for node, label in labels.items() if label in texts]
     names = Names()
     robots, bodies = [], {}
-    for index, root in roots.items():
+    for index, root in sorted(roots.items()):
         if not root.geometries and not any(body.parent is root for body in scene.bodies):
             continue  # a supervisor
-        robot = scene.robots[index]
-        parts = robot_parts(scene, root, names.new(labels.get(root.node) or robot.name, "robot"))
-        built = build(parts, scene, [node for node in used if node in parts.links], world.findings)
-        robots.append(DraftRobot(parts.name, parts, root.robot, built, acting.get(index)))
+        name = names.new(labels.get(root.node) or scene.robots[index].name, "robot")
+        parts = robot_parts(scene, root, name, labels)
+        model = build(parts, scene, [node for node in used if node in parts.links], world.findings)
+        robots.append(DraftRobot(parts, model, acting.get(index, Controller()), index in acting))
         for node, link in parts.links.items():
-            bodies[node] = parts.name if node is root.node else f"{parts.name}.{link}"
+            bodies[node] = name if node is root.node else f"{name}.{link}"
     objects = {
         body.index: names.new(labels.get(body.node) or text(body.node, "name"), "object")
         for body in scene.bodies
         if body.robot is None and body.parent is None
     }
     world.findings.require_none()
-    agent = next(each for each in robots if each.robot is not None and each.robot.index in acting)
+    agent = next(robot for robot in robots if robot.acts)
     for draft_robot in robots:
         draft_robot.add_devices(texts)
     around = surroundings(world, scene, objects, used, scene.basic_step)
@@ -486,19 +501,10 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     return Draft(path.name, around, robots, agent, judge, has_messages, named, world.findings)
 
 
-def _roots(scene: Scene) -> dict[int, Body]:
-    """Return the root body of each robot by the index of the robot."""
-    roots: dict[int, Body] = {}
-    for body in scene.bodies:
-        if body.robot is not None and body.parent is None:
-            roots.setdefault(body.robot.index, body)
-    return roots
-
-
 def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:
     """Return the Python files of the controllers by the index of the robot."""
     modules: dict[int, list[Module]] = {robot.index: [] for robot in scene.robots}
-    for robot, program in programs(world.files, scene.robots):
+    for robot, program in programs(world.files, scene.robots, advice=_NAMING):
         span = robot.node.span
         if program.remark:
             world.findings.warning(span, program.remark)
@@ -509,7 +515,7 @@ def _modules(world: World, scene: Scene) -> dict[int, list[Module]]:
 
 def _roles(
     scene: Scene, roots: dict[int, Body], modules: dict[int, list[Module]]
-) -> tuple[dict[int, Controller | None], Controller | None, bool]:
+) -> tuple[dict[int, Controller], Controller, bool]:
     """Return the classes of the robots that act, by the index of the robot, the class that judges, and
     whether they send messages."""
     with_motors = [
@@ -520,8 +526,12 @@ def _roles(
     for index in with_motors:
         for both in controllers(modules[index], frozenset(["RobotSupervisorEnv", "RobotSupervisor"])):
             return {index: both}, both, False
-    acting: dict[int, Controller | None] = {
+    acting = {
         index: classes[0] for index in with_motors if (classes := controllers(modules[index], ROBOT_BASES))
     }
     judges = [judge for each in modules.values() for judge in controllers(each, SUPERVISOR_BASES)]
-    return acting or dict.fromkeys(with_motors[:1]), next(iter(judges), None), True
+    return (
+        acting or {index: Controller() for index in with_motors[:1]},
+        next(iter(judges), Controller()),
+        True,
+    )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from io import BytesIO
 from itertools import chain, count
@@ -24,7 +24,7 @@ from deepbots_cli.robots import model as urdf
 from deepbots_cli.scenario.fields import RESERVED, suggested_name
 from deepbots_webots.nodes import is_a, number, numbers, real, rotation, text, vector, walk
 from deepbots_webots.project import World
-from deepbots_webots.scene import ORIGIN, Body, Geometry, Joint, Scene, Visual
+from deepbots_webots.scene import ORIGIN, Body, Geometry, Joint, Scene
 from deepbots_webots.shapes import (
     Grid,
     Mesh,
@@ -32,10 +32,8 @@ from deepbots_webots.shapes import (
     Shape,
     inverse,
     kind_of,
-    look_of,
     pose_of,
     trimesh_of,
-    visible_shape,
 )
 from deepbots_webots.syntax import Node, WorldFindings
 
@@ -68,31 +66,23 @@ class Names:
 
 _LIGHT = urdf.Inertial(1e-3, ixx=4e-8, iyy=4e-8, izz=4e-8)
 """A ball of 1 g and 1 cm: a link without inertia, as a solid without physics at the end of a joint."""
-_MAX_FACES = 20_000  # triangles of the visible meshes of a link
-
-
-@dataclass
-class Built:
-    """A robot model with what the scenario says about it.
-
-    `starts` maps joint names to positions (rad or m) other than 0, and `meshes` paths of mesh files to their
-    content.
-    """
-
-    model: urdf.RobotModel
-    starts: dict[str, float] = field(default_factory=dict)
-    meshes: dict[str, bytes] = field(default_factory=dict)
 
 
 @dataclass
 class RobotParts:
-    """The bodies of one robot. `links` are names of links by solid, of bodies and of solids fixed to them,
-    and `joints` names of joints by `id` of the joint of the scene."""
+    """The bodies of one robot, parents first.
+
+    `links` are names of links by solid, of bodies and of solids fixed to them, and `joints` names of joints
+    by `id` of the joint of the scene. `starts` maps joint names to positions (rad or m) other than 0, and
+    `meshes` paths of mesh files to their content; `build` adds them.
+    """
 
     name: str
     bodies: list[Body]
-    links: dict[Node, str]
-    joints: dict[int, str]
+    links: dict[Node, str] = field(default_factory=dict)
+    joints: dict[int, str] = field(default_factory=dict)
+    starts: dict[str, float] = field(default_factory=dict)
+    meshes: dict[str, bytes] = field(default_factory=dict)
 
     @property
     def root(self) -> Body:
@@ -106,90 +96,66 @@ class RobotParts:
         return frames.compose(inverse(_link_frame(body)), frame)
 
 
-def robot_parts(scene: Scene, root: Body, name: str) -> RobotParts:
-    """Return the bodies below a root, parents first, with names for their links and joints."""
-    bodies, members = [root], {root.index}
+def robot_parts(scene: Scene, root: Body, name: str, labels: Mapping[Node, str]) -> RobotParts:
+    """Return the bodies below a root with names for their links and joints; `labels` are the DEF names."""
+    parts, members, names = RobotParts(name, [root]), {root.index}, Names()
     for body in scene.bodies:
         if body.parent is not None and body.parent.index in members:
-            bodies.append(body)
+            parts.bodies.append(body)
             members.add(body.index)
-    names = Names()
-    links: dict[Node, str] = {}
-    joints: dict[int, str] = {}
-    labels = {real(node): node.name for node in walk(scene.nodes) if node.name}
-    for body in bodies:
-        links[body.node] = names.new(labels.get(body.node) or text(body.node, "name"), "link")
+    for body in parts.bodies:
+        link = parts.links[body.node] = names.new(labels.get(body.node) or text(body.node, "name"), "link")
         for joint in body.joints:
-            joints[id(joint)] = names.new(_joint_label(joint, links[body.node]), "joint")
-    fixed = [(node, body) for node, (body, _) in scene.attachments.items() if body.index in members]
-    for node, _ in fixed:
-        if node not in links and is_a(node, "Solid") and labels.get(node):
-            links[node] = names.new(labels[node], "link")
-    return RobotParts(name, bodies, links, joints)
+            label = joint.motor is not None and text(joint.motor, "name")
+            parts.joints[id(joint)] = names.new(f"{label or link}_joint", "joint")
+    for node, (body, _) in scene.attachments.items():
+        is_named = is_a(node, "Solid") and node in labels and node not in parts.links
+        if body.index in members and is_named:
+            parts.links[node] = names.new(labels[node], "link")
+    return parts
 
 
-def _joint_label(joint: Joint, link: str) -> str:
-    if joint.motor is not None and text(joint.motor, "name"):
-        return f"{text(joint.motor, 'name')}_joint"
-    return f"{link}_joint"
-
-
-def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: WorldFindings) -> Built:
+def build(parts: RobotParts, scene: Scene, split: Sequence[Node], findings: WorldFindings) -> urdf.RobotModel:
     """Return the model of a robot; the solids of `split`, which are fixed to a body, become links."""
-    built = Built(urdf.RobotModel(parts.name, (), (), parts.link_of(parts.root)))
-    links: list[urdf.Link] = []
-    joints: list[urdf.Joint] = []
+    pieces = list(_pieces(parts, scene, split, findings))
+    return urdf.RobotModel(
+        parts.name,
+        tuple(piece for piece in pieces if isinstance(piece, urdf.Link)),
+        tuple(piece for piece in pieces if isinstance(piece, urdf.Joint)),
+        parts.link_of(parts.root),
+    )
+
+
+def _pieces(
+    parts: RobotParts, scene: Scene, split: Sequence[Node], findings: WorldFindings
+) -> Iterator[urdf.Link | urdf.Joint]:
     for body in parts.bodies:
         if body.parent is not None:
-            middle, more = _joints(parts, body, built, findings)
-            links += middle
-            joints += more
-        fixed = [node for node in split if node in parts.links and node is not body.node]
-        fixed = [node for node in fixed if scene.attachments[node][0] is body]
+            yield from _joints(parts, body, body.parent, findings)
+        origins = {body.node: _link_frame(body)}
+        for node in split:
+            if scene.attachments[node][0] is body:
+                origins.setdefault(node, scene.attachments[node][1])
+        fixed = [node for node in origins if node is not body.node]
         solids = {inner: node for node in fixed for inner in walk([node])}
-        for node in (body.node, *fixed):
-            solid, frame = (
-                (None, _link_frame(body)) if node is body.node else (node, scene.attachments[node][1])
-            )
-            geometries = [each for each in body.geometries if solids.get(each.owner) is solid]
-            visuals = [each for each in scene.visuals if each.body is body and solids.get(each.node) is solid]
-            inertias = [inertial for owner, inertial in body.inertias if solids.get(owner) is solid]
-            link = _link(parts.links[node], inverse(frame), geometries, inertias, built, scene, findings)
-            links.append(_as_seen(link, visuals, inverse(frame), built, scene))
-            if solid is not None:
-                name, pose = f"{link.name}_fixed", pose_of(parts.frame_in_link(body, frame))
-                joints.append(urdf.Joint(name, "fixed", parts.link_of(body), link.name, pose))
-    built.model = urdf.RobotModel(parts.name, tuple(links), tuple(joints), parts.link_of(parts.root))
-    return built
+        for node, frame in origins.items():
+            geometries = [each for each in body.geometries if solids.get(each.owner, body.node) is node]
+            inertias = [inertial for owner, inertial in body.inertias if solids.get(owner, body.node) is node]
+            yield _link(parts, parts.links[node], inverse(frame), geometries, inertias, scene, findings)
+        for node in fixed:
+            name, pose = parts.links[node], pose_of(parts.frame_in_link(body, origins[node]))
+            yield urdf.Joint(f"{name}_fixed", "fixed", parts.link_of(body), name, pose)
 
 
 # Links
 
 
-def _as_seen(
-    link: urdf.Link, visuals: Sequence[Visual], origin: Frame, built: Built, scene: Scene
-) -> urdf.Link:
-    """Return a link that looks like Shape nodes; as its bounding objects, if it has none or detailed ones."""
-    shapes = [(visual, visible_shape(visual, scene.files)) for visual in visuals]
-    drawn = [(visual, shape) for visual, shape in shapes if not isinstance(shape, Plane | Grid | None)]
-    if not drawn or sum(len(shape.faces) for _, shape in drawn if isinstance(shape, Mesh)) > _MAX_FACES:
-        return link
-    geometries = []
-    for visual, shape in drawn:
-        geometry = _shape(shape, built, f"{link.name}_visual")
-        if geometry is not None:
-            red, green, blue, opacity = map(_unit, look_of(visual.node, scene.files).color)
-            pose = pose_of(frames.compose(origin, visual.frame))
-            geometries.append(urdf.Geometry(geometry, pose, (red, green, blue, opacity)))
-    return replace(link, visuals=tuple(geometries))
-
-
 def _link(
+    parts: RobotParts,
     name: str,
     origin: Frame,
     geometries: Sequence[Geometry],
     inertias: Sequence[urdf.Inertial],
-    built: Built,
     scene: Scene,
     findings: WorldFindings,
 ) -> urdf.Link:
@@ -201,12 +167,12 @@ def _link(
     shapes: list[urdf.Geometry] = []
     for geometry in geometries:
         pose = pose_of(frames.compose(origin, geometry.frame))
-        shape = _shape(geometry.shape, built, name)
+        shape = _shape(geometry.shape, parts, name)
         if shape is None:
             findings.warning(geometry.owner.span, f"a {kind_of(geometry.shape)} of a robot is left out")
             continue
         shapes.append(urdf.Geometry(shape, pose))
-    if not masses and name != built.model.root:
+    if not masses and name != parts.link_of(parts.root):
         masses = [_LIGHT]
     friction = urdf.Friction(lateral=_friction(geometries, scene))
     inertial = urdf.combined(masses) if masses else None
@@ -219,19 +185,15 @@ def _friction(geometries: Sequence[Geometry], scene: Scene) -> float | None:
     return next((value for value in values if value != 1.0), None)
 
 
-def _unit(value: float) -> float:
-    return round(min(max(value, 0.0), 1.0), 3)
-
-
-def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
+def _shape(shape: Shape, parts: RobotParts, link: str) -> urdf.Shape | None:
     """Return a shape of URDF, with the file of a mesh; None for a plane or a grid."""
     match shape:
         case Plane() | Grid():
             return None
         case Mesh():
             content = bytes(trimesh_of(shape).export(file_type="stl"))
-            path = f"{built.model.name}_{link}_{len(built.meshes)}.stl"
-            built.meshes[path] = content
+            path = f"{parts.name}_{link}_{len(parts.meshes)}.stl"
+            parts.meshes[path] = content
             return urdf.Mesh(path, hashlib.sha256(content).hexdigest())
     return shape
 
@@ -240,36 +202,32 @@ def _shape(shape: Shape, built: Built, link: str) -> urdf.Shape | None:
 
 
 def _joints(
-    parts: RobotParts, body: Body, built: Built, findings: WorldFindings
-) -> tuple[list[urdf.Link], list[urdf.Joint]]:
-    """Return the joints of a body; those of a Hinge2Joint have a light link between them."""
-    assert body.parent is not None
-    above = parts.link_of(body.parent)
-    frame = frames.compose(inverse(_link_frame(body.parent)), frames.compose(body.frame, _link_frame(body)))
-    links: list[urdf.Link] = []
-    joints: list[urdf.Joint] = []
+    parts: RobotParts, body: Body, parent: Body, findings: WorldFindings
+) -> Iterator[urdf.Link | urdf.Joint]:
+    """Yield the joints of a body; those of a Hinge2Joint have a light link between them."""
+    above = parts.link_of(parent)
+    frame = frames.compose(inverse(_link_frame(parent)), frames.compose(body.frame, _link_frame(body)))
     if body.joints and body.joints[0].kind == "ball":
         findings.error(body.node.span, "a BallJoint in a robot has no counterpart in URDF")
-    for position, joint in enumerate(body.joints):
-        is_last = position == len(body.joints) - 1
-        below = parts.link_of(body) if is_last else f"{parts.joints[id(joint)]}_link"
-        if not is_last:
-            links.append(urdf.Link(below, _LIGHT))
+    for joint in body.joints:
         name = parts.joints[id(joint)]
+        if joint is body.joints[-1]:
+            below = parts.link_of(body)
+        else:
+            below = f"{name}_link"
+            yield urdf.Link(below, _LIGHT)
         if abs(joint.position) > 1e-6:
-            built.starts[name] = joint.position
-        joints.append(_joint(name, joint, above, below, _at_zero(frame, joint)))
+            parts.starts[name] = joint.position
+        yield _joint(name, joint, above, below, _at_zero(frame, joint))
         above, frame = below, ORIGIN
-    return links, joints
 
 
 def _at_zero(frame: Frame, joint: Joint) -> Frame:
     """Return the frame of a joint at the position 0."""
+    back = (frames.scaled(joint.axis, -joint.position), frames.IDENTITY_ROTATION)
     if joint.kind == "hinge":
-        rotation = frames.from_axis_angle(joint.axis, -joint.position)
-        return frames.compose(frame, ((0.0, 0.0, 0.0), rotation))
-    back = frames.scaled(joint.axis, -joint.position)
-    return frames.compose(frame, (back, frames.IDENTITY_ROTATION))
+        back = ((0.0, 0.0, 0.0), frames.from_axis_angle(joint.axis, -joint.position))
+    return frames.compose(frame, back)
 
 
 def _joint(name: str, joint: Joint, above: str, below: str, frame: Frame) -> urdf.Joint:
@@ -336,19 +294,18 @@ def surroundings(
 ) -> Surroundings:
     """Return the entries of a world; `objects` are names of bodies by their index, `used` the nodes that the
     code reads, and `step` the control step (ms)."""
-    result = Surroundings()
-    entries = result.world
-    entries.append(("timestep", f"{step} ms"))
+    result = Surroundings([("timestep", f"{step} ms")])
     substeps = -(-step // LARGEST_SUBSTEP)
     if substeps > 1:
-        entries.append(("substeps", str(substeps)))
+        result.world.append(("substeps", str(substeps)))
     if scene.gravity != (0.0, 0.0, -9.81):
-        entries.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
+        result.world.append(("gravity", f"{plain(*scene.gravity)} m/s^2"))
     nodes_in_result = _arena(scene, result) | _terrain(world, scene, result)
     needed = set(used)
-    for body in scene.bodies:
-        if body.robot is None and body.node not in nodes_in_result and body.index in objects:
-            _object(body, scene, objects[body.index], body.node in needed, result)
+    for index, name in objects.items():
+        body = scene.bodies[index]
+        if body.node not in nodes_in_result:
+            _object(body, scene, name, body.node in needed, result)
     return result
 
 
@@ -369,12 +326,10 @@ def _arena(scene: Scene, result: Surroundings) -> set[Node]:
         if node.type != "RectangleArena" or node.body is None or not _is_at_origin(node):
             continue
         x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
-        parts = [f"size: {plain(x, y)} m"]
-        if (height := number(node, "wallHeight")) != 0.1:
-            parts.append(f"wall_height: {plain(height)} m")
-        if (thickness := number(node, "wallThickness")) != 0.01:
-            parts.append(f"wall_thickness: {plain(thickness)} m")
-        result.world.append(("arena", f"{{{', '.join(parts)}}}"))
+        walls = (
+            f"wall_{name}: {plain(number(node, f'wall{name.title()}'))} m" for name in ("height", "thickness")
+        )
+        result.world.append(("arena", f"{{{', '.join([f'size: {plain(x, y)} m', *walls])}}}"))
         return {real(node)}
     return set()
 
@@ -429,10 +384,8 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
     reason = ""
     if len(result.objects) + len(solid) > MAX_OBJECTS:
         reason = f", because the world has more than {MAX_OBJECTS} objects"
-    elif body.parent is not None or any(child.parent is body for child in scene.bodies):
-        reason = ", which has joints: write a robot file for it"
-    elif body.is_free and len(solid) > 1:
-        reason = f", a body of {len(solid)} shapes: write a robot file for it"
+    elif any(child.parent is body for child in scene.bodies) or (body.is_free and len(solid) > 1):
+        reason = ", which has several parts: write a robot file for it"
     if reason:
         result.left_out.append((body.node.span.location, f"'{label}'{reason}"))
         return
@@ -447,20 +400,7 @@ def _object(body: Body, scene: Scene, name: str, is_used: bool, result: Surround
         if (friction := _friction([geometry], scene)) is not None:
             parts.append(f"friction: {plain(friction)}")
         parts.append(f"pose: {pose_text(frames.compose(body.frame, geometry.frame))}")
-        if color := _color_text(body, scene):
-            parts.append(f"color: '{color}'")
         result.objects[name if position == 0 else f"{name}_{position + 1}"] = f"{{{', '.join(parts)}}}"
-
-
-def _color_text(body: Body, scene: Scene) -> str:
-    """Return the color of the first Shape node of a body, such as `#ff0000`; empty without one."""
-    visual = next((visual for visual in scene.visuals if visual.body is body), None)
-    if visual is None:
-        return ""
-    channels = (
-        round(255 * min(max(channel, 0.0), 1.0)) for channel in look_of(visual.node, scene.files).color[:3]
-    )
-    return "#" + "".join(f"{channel:02x}" for channel in channels)
 
 
 def _is_ground(geometry: Geometry, body: Body) -> bool:

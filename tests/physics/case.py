@@ -24,7 +24,7 @@ from deepbots_cli.engines import create, create_batch
 from deepbots_cli.program.world import WorldModel
 from deepbots_cli.robots.model import Mesh
 from deepbots_webots import supervisor
-from deepbots_webots.bridge.plant import Plant
+from deepbots_webots.bridge.mirror import MirrorEngine
 from deepbots_webots.export.world import NodeText, WorldWriter, node, world_text
 from deepbots_webots.nodes import axis_angle
 from deepbots_webots.scene import build_scene
@@ -96,7 +96,7 @@ class WebotsEngine:
             program=SimpleNamespace(name=""),
             timestep_ms=round(world.timestep * 1000),
         )
-        info, *nodes = WorldWriter(project, {}, {}, "").nodes("<none>")
+        info, *nodes = WorldWriter(project, {}, {}, "").nodes()
         self._turn = frames.IDENTITY_ROTATION
         if engine == NUE:
             self._turn = (-0.5, -0.5, -0.5, 0.5)
@@ -108,11 +108,11 @@ class WebotsEngine:
         self._simulation = Simulation(scene, scene_world.span)
         (self._simulation.current,) = scene.robots
         supervisor.activate(self._simulation)
-        self._plant = Plant(supervisor.Supervisor(), world)
+        self._mirror = MirrorEngine(create("mujoco", world), supervisor.Supervisor(), world)
 
     def place(self, body: str, position: Any, orientation: Any, *velocities: Any) -> None:
         turned = (frames.rotate(self._turn, velocity) for velocity in velocities)
-        self._plant.place(body, position, orientation, *turned)
+        self._mirror.place(body, position, orientation, *turned)
 
     def reset(self) -> None:
         self._simulation.physics.reset()
@@ -124,7 +124,7 @@ class WebotsEngine:
         return lambda: self._motion(body)[2:]
 
     def _motion(self, body: str) -> tuple[Any, ...]:
-        position, orientation, *velocities = self._plant.motion(body)
+        position, orientation, *velocities = self._mirror.motion_of(body)
         turned = frames.multiply(frames.inverse(self._turn), orientation)
         east_position, *east_velocities = (
             frames.rotate_back(self._turn, each) for each in (position, *velocities)

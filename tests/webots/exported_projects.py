@@ -14,17 +14,23 @@ import os
 import subprocess
 import sys
 from collections.abc import Sequence
+from functools import partial
 from math import inf
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+
+import numpy as np
 
 from deepbots_cli import api, diagnostics
 from deepbots_cli.cli.written_files import write_new
 from deepbots_cli.document import Permissions
+from deepbots_cli.port import ZERO_VECTOR
 from deepbots_cli.rollout.source import Source, SourceKind
 from deepbots_cli.runtime.copies import copy_name
 from deepbots_webots import supervisor
-from deepbots_webots.bridge.plant import MirrorEngine, Plant
+from deepbots_webots.bridge.mirror import MirrorEngine
+from deepbots_webots.bridge.robot import RobotDevices
 from deepbots_webots.devices import device_object
 from deepbots_webots.export.command import WebotsProject, prepare, project_files
 from deepbots_webots.project import Files, World, read_world, world_of_source
@@ -86,9 +92,7 @@ def exported(name: str, folder: Path, *overrides: str) -> WebotsProject:
     return prepared
 
 
-def run_exported(
-    prepared: WebotsProject, folder: Path, episodes: Sequence[Any], packages: Sequence[Path] = ()
-) -> list[Any]:
+def run_exported(prepared: WebotsProject, folder: Path, episodes: Sequence[Any]) -> list[Any]:
     """Run episodes, each a seed and its actions, by `deepbots webots` with the controllers of the project.
 
     Returns:
@@ -97,23 +101,36 @@ def run_exported(
     actions, log = folder / "actions.json", folder / "log.json"
     actions.write_text(json.dumps(episodes))
     program = prepared.compiled.program
-    code = REPLAY.format(name=program.name, actions=str(actions), log=str(log))
+    run_supervisor(folder, REPLAY.format(name=program.name, actions=str(actions), log=str(log)))
+    return json.loads(log.read_text())
+
+
+def run_supervisor(folder: Path, code: str) -> None:
+    """Run an exported project with this code as its supervisor."""
     (folder / "controllers/supervisor/supervisor.py").write_text(code)
-    (world,) = (path for path in (folder / "worlds").iterdir() if not path.stem.endswith("_train"))
+    packages = [ROOT] if importlib.util.find_spec("deepbots") else [ROOT, STAND_IN]
     ran = subprocess.run(
-        [sys.executable, "-m", "deepbots_cli", "webots", str(world), "--allow-code"],
+        [sys.executable, "-m", "deepbots_cli", "webots", str(world_of(folder)), "--allow-code"],
         capture_output=True,
         text=True,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *(packages or _packages()))))},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, packages))},
         timeout=600,
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
-    return json.loads(log.read_text())
 
 
-def _packages() -> list[Path]:
-    return [] if importlib.util.find_spec("deepbots") else [STAND_IN]
+def world_of(folder: Path) -> Path:
+    """Return the world of an exported project."""
+    (world,) = (folder / "worlds").iterdir()
+    return world
+
+
+def simulation_of(world: World) -> Simulation:
+    """Return the simulation of a world without errors."""
+    scene = build_scene(world)
+    world.findings.require_none()
+    return Simulation(scene, world.span)
 
 
 class PlantEngine(MirrorEngine):
@@ -122,36 +139,20 @@ class PlantEngine(MirrorEngine):
     def __init__(self, engine: Any, simulation: Simulation, world: Any) -> None:
         simulation.current = next(robot for robot in simulation.scene.robots if robot.is_supervisor)
         supervisor.activate(simulation)
-        super().__init__(engine, Plant(supervisor.Supervisor(), world), world)
+        super().__init__(engine, supervisor.Supervisor(), world)
         self._robots = {robot.name: robot for robot in simulation.scene.robots}
         self._simulation = simulation
 
-    def torque_motor(self, *_of: Any, **_limits: Any) -> Any:
-        raise NotImplementedError("a test with torque motors needs them here")
-
-    position_motor = torque_motor
-
     def velocity_motor(self, robot: str, joints: Sequence[str], max_torque: Sequence[float]) -> Any:
         devices = self._robots[robot].devices
-        motors = [device_object(self._simulation, devices[joint]) for joint in joints]
-
-        def write(targets: Sequence[float]) -> None:
-            for motor, target in zip(motors, targets, strict=True):
-                motor.setPosition(inf)
-                motor.setVelocity(target)
-
-        return write
+        by_name = SimpleNamespace(getDevice=lambda name: device_object(self._simulation, devices[name]))
+        return RobotDevices(by_name, 1.0, ZERO_VECTOR).velocity_motor(robot, joints, max_torque)
 
 
 def run_scenario(prepared: WebotsProject, folder: Path, episodes: Sequence[Any]) -> list[Any]:
     """Run the same episodes in the environment of the scenario; the rows are those of `run_exported`."""
-    (world,) = (path for path in (folder / "worlds").iterdir() if not path.stem.endswith("_train"))
-    read = read_world(world)
-    scene = build_scene(read)
-    read.findings.require_none()
-    simulation = Simulation(scene, read.span)
-    if str(SITE) not in sys.path:
-        sys.path.insert(0, str(SITE))
+    simulation = simulation_of(read_world(world_of(folder)))
+    sys.path.insert(0, str(SITE))
     try:
         environment = api.build(
             prepared.compiled.program,
@@ -166,27 +167,25 @@ def run_scenario(prepared: WebotsProject, folder: Path, episodes: Sequence[Any])
 
 def play(environment: Any, episodes: Sequence[Any]) -> list[Any]:
     """Run episodes in an environment of a scenario."""
-    import numpy as np
-
     texts: list[Any] = []
     _note_messages(environment, texts)
     rows: list[Any] = []
-    engine = environment.engine
+
+    def note(observation: Any, reward: float | None, done: bool, ended_by: Any) -> None:
+        rows.append([np.asarray(observation).tolist(), reward, done, ended_by, list(texts)])
+        texts.clear()
+
     for seed, actions in episodes:
         observation, _ = environment.reset(seed=seed)
-        if isinstance(engine, MirrorEngine):
-            engine.is_starting = False
-        rows.append([np.asarray(observation).tolist(), None, False, None, list(texts)])
-        texts.clear()
+        environment.engine.is_starting = False
+        note(observation, None, False, None)
         for action in actions:
             typed_action = (
                 np.asarray(action, environment.action_space.dtype) if isinstance(action, list) else action
             )
             observation, reward, terminated, truncated, info = environment.step(typed_action)
-            done = terminated or truncated
-            rows.append([np.asarray(observation).tolist(), reward, done, info["ended_by"], list(texts)])
-            texts.clear()
-            if done:
+            note(observation, reward, terminated or truncated, info["ended_by"])
+            if terminated or truncated:
                 break
     return rows
 
@@ -196,16 +195,13 @@ def _note_messages(environment: Any, texts: list[Any]) -> None:
     for number, agent in enumerate(environment.agents.values()):
         for (robot, direction), channel in agent.channels.items():
             name = robot if copies is None or robot != copies.robot else copy_name(copies, number + 1)
+            path = (name, direction.partition("_")[0])
+            channel.transmit = partial(_note, texts, path, channel.transmit)
 
-            channel.transmit = _noting(texts, name, direction.partition("_")[0], channel.transmit)
 
-
-def _noting(texts: list[Any], robot: str, way: str, send: Any) -> Any:
-    def transmit(text: str) -> None:
-        texts.append([robot, way, text])
-        send(text)
-
-    return transmit
+def _note(texts: list[Any], path: tuple[str, str], send: Any, text: str) -> None:
+    texts.append([*path, text])
+    send(text)
 
 
 HEADER = "#VRML_SIM R2023b utf8\n"
@@ -226,10 +222,7 @@ def simulate(text: str, step: int = 8, axes: str = "ENU", **info: object) -> Sim
         text = f"Pose {{ rotation 1 1 1 -2.0943951 children [ {text} ] }}"
         info["coordinateSystem"] = '"NUE"'
     fields = " ".join(f"{name} {value}" for name, value in {"basicTimeStep": step, **info}.items())
-    world = read(f"WorldInfo {{ {fields} }} {text}")
-    scene = build_scene(world)
-    world.findings.require_none()
-    return Simulation(scene, world.span)
+    return simulation_of(read(f"WorldInfo {{ {fields} }} {text}"))
 
 
 def enu(values: Sequence[float], axes: str) -> list[float]:
