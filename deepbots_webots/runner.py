@@ -399,8 +399,11 @@ class Runner:
         # Threads of the page and of videos import too, while a controller has the turn.
         if controller is None or threading.current_thread() is not controller.thread:
             return None
-        folders = [str(controller.program.parent)]
-        spec = importlib.machinery.PathFinder.find_spec(name, folders) if path is None else None
+        find = importlib.machinery.PathFinder.find_spec
+        spec = find(name, [str(controller.program.parent)]) if path is None else None
+        # A folder without modules, such as the `wandb` of earlier runs, hides no installed package.
+        if spec is not None and spec.loader is None and (find(name) or spec).loader is not None:
+            spec = None
         if spec is not None or name.partition(".")[0] in controller.private:
             controller.private.add(name)
         return spec

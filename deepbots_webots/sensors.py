@@ -309,8 +309,9 @@ class Compass(VectorSensor):
 class InertialUnit(Sensor):
     """Orientation in the world; a quaternion is x, y, z, w."""
 
-    _angles: Triple = (nan, nan, nan)
-    _turned: Quaternion = (nan, nan, nan, nan)
+    # In libController, this memory alone is not set to NaN; projects read it before their first step.
+    _angles: Triple = (0.0, 0.0, 0.0)
+    _turned: Quaternion = (0.0, 0.0, 0.0, 0.0)
     getRollPitchYaw = returns("_angles", list)
     getQuaternion = returns("_turned", list)
     getNoise = returns_number("noise")

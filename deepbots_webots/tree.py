@@ -327,6 +327,17 @@ class Field:
         name = self.getTypeName()
         return _FIELD_TYPES.index(name[2:]) + (0x11 if name[0] == "M" else 0x01)
 
+    @property
+    def value(self) -> Any:
+        """The value of a field that is not a list, and a list of the values of one."""
+        name = self.getTypeName()
+        get = getattr(self, f"get{name}")
+        return [get(index) for index in range(self.getCount())] if name.startswith("MF") else get()
+
+    @value.setter
+    def value(self, value: Any) -> None:
+        getattr(self, f"set{self.getTypeName()}")(value)
+
     def getActualField(self) -> Field:
         return self
 

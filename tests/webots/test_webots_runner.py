@@ -281,19 +281,21 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
         project.write(f"controllers/{name}/shared_name.py", f"WHO = '{name}'\ncount = 0")
         project.write(f"controllers/{name}/package/__init__.py", "")
         project.write(f"controllers/{name}/package/inner.py", f"WHO = '{name} inside'")
+        # Such a folder, in which a program wrote files, does not hide an installed package.
+        project.write(f"controllers/{name}/gymnasium/log.txt", "")
         project.controller(
             name,
             f"""
             import os, sys
             from controller import Supervisor, Robot
-            import shared_name
+            import gymnasium, shared_name
             robot = {"Supervisor" if name == "boss" else "Robot"}()
             for _ in range(3):
                 robot.step(32)
                 import shared_name as again
                 from package import inner
                 again.count += 1
-            print(again.WHO, inner.WHO, shared_name.count, os.path.basename(os.getcwd()), sys.argv[1:], __name__)
+            print(again.WHO, inner.WHO, gymnasium.__name__, gymnasium.Env.__name__, shared_name.count, os.path.basename(os.getcwd()), sys.argv[1:], __name__)
             import __main__
             print(__main__.__file__.endswith("{name}.py"))
             """,
@@ -301,9 +303,9 @@ def test_controllers_have_their_own_modules_folders_and_arguments(project: Proje
     lines = project.run().out.splitlines()
     assert sorted(lines) == [
         "[boss] True",
-        "[boss] boss boss inside 3 boss [] __main__",
+        "[boss] boss boss inside gymnasium Env 3 boss [] __main__",
         "[cart] True",
-        "[cart] cart cart inside 3 cart ['a', 'b c'] __main__",
+        "[cart] cart cart inside gymnasium Env 3 cart ['a', 'b c'] __main__",
     ]
 
 
@@ -478,9 +480,9 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         boss = Boss()
         cart = boss.getFromDef("CART")
         place = cart.getField("translation")
-        place.setSFVec3f([1, 2, 3])
+        place.value = [1, 2, 3]
         boss.step()
-        print(cart.getPosition(), place.getSFVec3f(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
+        print(cart.getPosition(), place.value, boss.getRoot().getField("children").value[0].getTypeName(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
         print(isinstance(boss.getEmitter("emitter"), Emitter), isinstance(boss.getDevice("emitter"), Device))
         print(Emitter("emitter") is boss.getDevice("emitter"), Receiver("receiver", 64).getSamplingPeriod(), Receiver("receiver").getSamplingPeriod())
         print(hasattr(controller, "Motion"), getattr(controller, "Motn", None), AnsiCodes.RED_FOREGROUND == chr(27) + "[31m")
@@ -496,7 +498,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
     )
     ran = project.run()
     assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
-        "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] True True",
+        "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] WorldInfo True True",
         "True True",
         "True 64 32",
         "True None True",
