@@ -69,7 +69,6 @@ class Module:
     """A Python file of a controller; `file` is its path in the folder of the controller."""
 
     file: str
-    name: str
     lines: list[str]
     tree: ast.Module
 
@@ -293,8 +292,7 @@ def _read(files: Files, path: Path, folder: Path, span: Span, findings: WorldFin
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         findings.warning(span, f"{file} is not read: {error or 'it is nested too deeply'}")
         return None
-    name = path.parent.name if path.stem == "__init__" else path.stem
-    return Module(file, name, text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), tree)
+    return Module(file, text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), tree)
 
 
 # Devices
@@ -437,11 +435,6 @@ class Draft:
             for robot in self.robots
             for joint, value in robot.parts.starts.items()
         ]
-
-    @property
-    def command(self) -> str:
-        """The method by which the project commands its motors."""
-        return "use_message_data" if self.has_messages else "apply_action"
 
 
 def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:

@@ -18,12 +18,6 @@ from deepbots_cli.robots.model import to_urdf
 from deepbots_webots.imports.draft import DraftRobot, read_project, stated_number
 from deepbots_webots.imports.world import plain, pose_text
 
-_HEAD = """\
-# From {world} of Webots. {todos} left to you: search for FILL IN.
-# Scene, robots and devices are those of the project. Webots and deepbots differ in their physics: see
-# "Your project as a scenario" in docs/webots.md.
-"""
-
 
 def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> Starter:
     """Return the scenario `NAME.yaml` for a world, with a robot file per robot. No code of the project runs.
@@ -45,11 +39,9 @@ def from_webots(world: Path, library: Sequence[Path], name: str, title: str) -> 
         file_of=file_of,
         fill_in=FILL_IN,
     )
-    lines = text.rstrip().split("\n")
+    lines = [line.rstrip() for line in text.rstrip().split("\n")]
     todos = sum(line.strip().startswith(FILL_IN) for line in lines)
-    count_text = "One place is" if todos == 1 else f"{todos} places are"
-    head = _HEAD.format(world=_visible(draft.world_file), todos=count_text)
-    files = {f"{name}.yaml": (head + "".join(f"{line.rstrip()}\n" for line in lines)).encode()}
+    files = {f"{name}.yaml": "".join(f"{line}\n" for line in lines).encode()}
     files |= {file_of(robot): to_urdf(robot.model).encode() for robot in draft.robots}
     files |= {path: content for robot in draft.robots for path, content in robot.parts.meshes.items()}
     files |= draft.surroundings.pictures

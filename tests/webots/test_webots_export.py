@@ -209,23 +209,19 @@ def test_a_scenario_that_webots_cannot_express_is_refused_before_anything_is_wri
     assert not list(tmp_path.iterdir())
 
 
-def test_a_summary_is_the_same_in_the_readme_and_in_the_docstring(tmp_path: Path):
-    summary = r'Push "it" to C:\new'
-    exported("cartpole", tmp_path, f"summary='{summary}'")
-    assert f"\n{summary}\n" in (tmp_path / "README.md").read_text()
-    module = ast.parse((tmp_path / "controllers/supervisor/webots_environment.py").read_text())
-    (environment,) = (node for node in module.body if isinstance(node, ast.ClassDef))
-    assert ast.get_docstring(environment) == summary
-
-
 def test_the_command_lists_differences_and_overwrites_nothing(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ):
     folder = tmp_path / "out"
     words = ["export", "cartpole", "--to", "webots", "-o", str(folder)]
-    assert main([*words, "--set", "fall_angle=10 deg"]) == 0
+    summary = r'Push "it" to C:\new'
+    assert main([*words, "--set", "fall_angle=10 deg", "--set", f"summary='{summary}'"]) == 0
     assert "differs in Webots: Messages take one timestep" in capfd.readouterr().err
-    assert "Messages take one timestep" in (folder / "README.md").read_text()
+    readme = (folder / "README.md").read_text()
+    assert "Messages take one timestep" in readme
+    assert f"\n{summary}\n" in readme
+    module = ast.parse((folder / "controllers/supervisor/webots_environment.py").read_text())
+    assert summary in [ast.get_docstring(entry) for entry in module.body if isinstance(entry, ast.ClassDef)]
     assert "0.17453292519943295" in (folder / "scenario/environment.py").read_text()
     (folder / "README.md").write_text("mine")
     assert main(words) != 0

@@ -2,10 +2,10 @@ from controller import Supervisor
 
 
 class CSVSupervisorEnv(Supervisor):
-    def __init__(self, emitter_name="emitter", receiver_name="receiver", timestep=None):
+    def __init__(self, timestep):
         super().__init__()
-        self.timestep = int(self.getBasicTimeStep() if timestep is None else timestep)
-        self.emitter, self.receiver = self.initialize_comms(emitter_name, receiver_name)
+        self.timestep = timestep
+        self.emitter, self.receiver = self.initialize_comms("emitter", "receiver")
 
     def handle_emitter(self, action):
         self.emitter.send(",".join(map(str, action)).encode())
