@@ -246,7 +246,7 @@ class Physics:
         scene = self.scene
         builder = ModelBuilder(scene, self.substep)
         try:
-            self.model = model = builder.compile()
+            self.model = model = builder.spec.compile()
         except ValueError as error:
             message = " ".join(str(error).split())[:200]
             raise WorldError.at(self._span, f"MuJoCo refuses the world: {message}") from error
