@@ -72,6 +72,12 @@ class _Optics(Sensor):
     def getHeight(self) -> int:
         return self._size[1]
 
+    def _noises(self, deviation: float, shape: tuple[int, ...]) -> Floats:
+        """Return noise for a picture, which numpy draws at once; its seed comes from the world, so that runs
+        repeat."""
+        generator = np.random.default_rng(self._simulation.random.getrandbits(64))
+        return generator.normal(0.0, deviation, shape)
+
     def _save(self, picture: Any, filename: str, quality: int) -> int:
         """Write a picture by the suffix of the file, such as .png or .jpg; returns 0, or -1 if that fails."""
         from PIL import Image
@@ -101,9 +107,7 @@ class Camera(_Optics):
         colors = self._simulation.pictures.colors(self._frame(), self._size, self._fov, self.getNear())
         noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
         if noise > 0:
-            # numpy draws a picture at once; its seed comes from the world, so that runs repeat.
-            generator = np.random.default_rng(self._simulation.random.getrandbits(64))
-            noisy = colors + generator.normal(0.0, noise, colors.shape)
+            noisy = colors + self._noises(noise, colors.shape)
             colors = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
         self._picture = colors
 
@@ -290,8 +294,7 @@ class RangeFinder(_Optics, _HasRange):
         is_seen = (depths >= least) & (depths <= most)
         noise, resolution = number(node, "noise") * most, number(node, "resolution")
         if noise > 0:
-            generator = np.random.default_rng(self._simulation.random.getrandbits(64))
-            depths += generator.normal(0.0, noise, depths.shape).astype(np.float32)
+            depths += self._noises(noise, depths.shape).astype(np.float32)
         if resolution > 0:
             depths = np.round(depths / resolution) * np.float32(resolution)
         depths[~is_seen] = np.inf

@@ -118,14 +118,6 @@ class ModelBuilder:
         self._geoms.append(added)
         self.geometries.append((body, geometry))
 
-    def compile(self) -> Any:
-        """Return the compiled model.
-
-        Raises:
-            ValueError: MuJoCo refuses the world.
-        """
-        return self.spec.compile()
-
     def geometries_by_id(self) -> list[tuple[Body, Geometry]]:
         """Return the geometries in the order of their numbers in the compiled model."""
         owners = {int(added.id): owner for added, owner in zip(self._geoms, self.geometries, strict=True)}

@@ -246,7 +246,7 @@ class Physics:
         scene = self.scene
         builder = ModelBuilder(scene, self.substep)
         try:
-            self.model = model = builder.compile()
+            self.model = model = builder.spec.compile()
         except ValueError as error:
             message = " ".join(str(error).split())[:200]
             raise WorldError.at(self._span, f"MuJoCo refuses the world: {message}") from error
@@ -391,13 +391,6 @@ class Physics:
             mj.mj_kinematics(self.model, self.data)
             self._has_positions = True
 
-    def update_velocities(self) -> None:
-        self.update_positions()
-        if not self._has_velocities:
-            mj.mj_comPos(self.model, self.data)
-            mj.mj_comVel(self.model, self.data)
-            self._has_velocities = True
-
     # Readings
 
     def frame(self, body: Body, frame_in_body: Frame = ORIGIN) -> Frame:
@@ -420,7 +413,11 @@ class Physics:
 
     def velocity(self, body: Body, frame_in_body: Frame = ORIGIN) -> tuple[Triple, Triple]:
         """Return the velocity of the origin of a frame, m/s, and the angular velocity, rad/s."""
-        self.update_velocities()
+        self.update_positions()
+        if not self._has_velocities:
+            mj.mj_comPos(self.model, self.data)
+            mj.mj_comVel(self.model, self.data)
+            self._has_velocities = True
         index = self.bodies[body.index]
         # `cvel` has the linear velocity at the center of mass of the whole kinematic tree.
         root = int(self.model.body_rootid[index])
@@ -440,9 +437,6 @@ class Physics:
 
     def joint_position(self, joint: Joint) -> float:
         return float(self.data.qpos[self.model.jnt_qposadr[self._joint_ids[joint]]])
-
-    def joint_velocity(self, joint: Joint) -> float:
-        return float(self.data.qvel[self.model.jnt_dofadr[self._joint_ids[joint]]])
 
     def cast(
         self, start: Triple, directions: Sequence[Triple] | Floats, reach: float, robot: Robot | None = None

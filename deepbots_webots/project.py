@@ -94,10 +94,6 @@ class Files:
         target = path.resolve()
         return any(target.is_relative_to(folder) for folder in (self.project, *self.library))
 
-    def is_own(self, path: Path) -> bool:
-        """Return whether a file is in the project, and not in a copy of Webots."""
-        return path.resolve().is_relative_to(self.project)
-
     def read(self, path: Path) -> Source:
         """Read a text.
 
@@ -426,9 +422,8 @@ class Expander:
         self._extents: dict[Node, Extent] = {}
         self._library_bodies: dict[str, Node] = {}
 
-    def expand(self, nodes: list[Node], scope: Document) -> int:
-        """Expand nodes in place. Return the number of nodes that all of them stand for: a node counts as
-        often as USE and IS repeat it.
+    def expand(self, nodes: list[Node], scope: Document) -> None:
+        """Expand nodes in place. A node counts as often as USE and IS repeat it.
 
         Raises:
             WorldError: The world has too many nodes, or too many levels of them.
@@ -438,7 +433,6 @@ class Expander:
             count += self._expand(node, scope, "", (), 0).nodes
             _check_extent(node, Extent(count, 1), 0)
         self._report()
-        return count
 
     def _expand(self, node: Node, scope: Document, slot: str, outer: tuple[Proto, ...], level: int) -> Extent:
         """Expand a node at a level of the world, in the bodies of PROTOs."""
@@ -515,7 +509,8 @@ class Expander:
     def _load(self, name: str, extern: Extern | None, scope: Document) -> Proto | None:
         path = self.files.proto(name, extern.address if extern else "", scope.source.name)
         has_equivalent = name in equivalents()
-        if has_equivalent and (path is None or not self.files.is_own(path)):
+        is_own = path is not None and path.resolve().is_relative_to(self.files.project)
+        if has_equivalent and not is_own:
             return equivalent(name)
         if path is None:
             return None

@@ -145,25 +145,22 @@ class _VisualModel:
         spec.visual.headlight.specular = (0.0,) * 3
         spec.compiler.alignfree = False
         self._count = 0
-        self._add_sky()
+        sky = sky_color(self._scene.nodes) or (0.0, 0.0, 0.0)
+        spec.add_texture(
+            name="sky",
+            type=mj.mjtTexture.mjTEXTURE_SKYBOX,
+            builtin=mj.mjtBuiltin.mjBUILTIN_GRADIENT,
+            rgb1=sky,
+            rgb2=sky,
+            width=16,
+            height=96,  # six faces of a cube, one below another
+        )
         self.bodies = {
             body.index: spec.worldbody.add_body(name=f"b{body.index}", mocap=True)
             for body in self._scene.bodies
         }
         for visual in self._scene.visuals:
             self._add(visual)
-
-    def _add_sky(self) -> None:
-        color = sky_color(self._scene.nodes) or (0.0, 0.0, 0.0)
-        self.spec.add_texture(
-            name="sky",
-            type=mj.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mj.mjtBuiltin.mjBUILTIN_GRADIENT,
-            rgb1=color,
-            rgb2=color,
-            width=16,
-            height=96,  # six faces of a cube, one below another
-        )
 
     def _add(self, visual: Visual) -> None:
         shape = visible_shape(visual, self._scene.files)

@@ -451,9 +451,6 @@ class _Prefixed(TextIOBase):
         self._unfinished.clear()
         self._stream.flush()
 
-    def writable(self) -> bool:
-        return True
-
     def fileno(self) -> int:
         return self._stream.fileno()
 

@@ -540,15 +540,15 @@ class _Builder:
             if self._points > MAX_POINTS:
                 raise _too_many(node, f"{MAX_POINTS:,} points of meshes and grids")
             material = text(owner, "contactMaterial")
-            reflection = _reflection(owner)
-            body.geometries.append(Geometry(shape, frame, material, owner, reflection))
+            body.geometries.append(Geometry(shape, frame, material, owner, _reflection(owner)))
 
     def _add_mass(
         self, node: Node, physics: Node, body: Body, frame: Frame, geometries: list[Geometry]
     ) -> None:
         body.damping = _damping(physics, "damping") or self.scene.damping
         density, mass = number(physics, "density"), number(physics, "mass")
-        volume = sum(volume_of(geometry.shape) for geometry in geometries)
+        volumes = [volume_of(geometry.shape) for geometry in geometries]
+        volume = sum(volumes)
         if density >= 0:
             mass = density * volume
         if mass <= 0:
@@ -566,13 +566,13 @@ class _Builder:
             xx, yy, zz, xy, xz, yz = matrix
             inertial = Inertial(mass, center, xx, xy, xz, yy, yz, zz)
         elif volume > 0:  # the inertia of the bounding object, about the center that the file states
-            volumes = [(geometry, volume_of(geometry.shape)) for geometry in geometries]
-            parts = [
-                inertial_of(geometry.shape, mass * own / volume, geometry.frame)
-                for geometry, own in volumes
-                if own > 0
-            ]
-            inertial = combined(parts)
+            inertial = combined(
+                [
+                    inertial_of(geometry.shape, mass * own / volume, geometry.frame)
+                    for geometry, own in zip(geometries, volumes, strict=True)
+                    if own > 0
+                ]
+            )
             if centers:
                 inertial = replace(inertial, origin=Pose(center.xyz, inertial.origin.rpy))
         else:

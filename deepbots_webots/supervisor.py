@@ -47,7 +47,7 @@ class Robot:
         self.keyboard = Keyboard()
 
     def __getattr__(self, name: str) -> Any:
-        if is_device_getter(name):
+        if name.startswith("get") and name[3:] in _DEVICE_CLASSES:  # such as `getGyro`
             return self.getDevice
         raise missing_attribute(type(self), name)
 
@@ -126,11 +126,6 @@ class AnsiCodes:
 _LATER_DEVICES = frozenset(["LinearMotor", "Microphone", "Radio", "RotationalMotor", "Skin", "VacuumGripper"])
 """Devices without a function such as `getGyro`, which releases before R2022 have."""
 _DEVICE_CLASSES = DEVICES - _LATER_DEVICES | {"Motor"}
-
-
-def is_device_getter(name: str) -> bool:
-    """Return whether a name is that of a function such as `getGyro`."""
-    return name.startswith("get") and name[3:] in _DEVICE_CLASSES
 
 
 class Supervisor(Robot):

@@ -126,14 +126,10 @@ class Node(_NodeTypes):
         return [*linear, *angular]
 
     def setVelocity(self, velocity: list[float]) -> None:
-        x, y, z, u, v, w = map(float, velocity)
-        self._simulation.physics.set_velocity(self._free_body("setVelocity"), (x, y, z), (u, v, w))
-
-    def _free_body(self, function: str) -> Body:
-        body, _ = self._attachment(function)
+        body, _ = self._attachment("setVelocity")
         if body.node is not self._real or not self._simulation.physics.is_free(body):
-            raise NotImplementedCallError(f"Node.{function} of a part of a body is not implemented")
-        return body
+            raise NotImplementedCallError("Node.setVelocity of a part of a body is not implemented")
+        self._simulation.physics.set_velocity(body, _triple(velocity[:3]), _triple(velocity[3:]))
 
     def restartController(self) -> None:
         """Let the controller of this robot end in its step, and begin again."""

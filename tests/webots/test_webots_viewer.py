@@ -46,6 +46,7 @@ from tests.commands import until
 from tests.files import written
 from tests.view.browser import CHROMIUM, browser
 from tests.view.test_page import CAMERA
+from tests.webots.conftest import Project
 from tests.webots.exported_projects import HEADER, device, read, simulate, solid
 
 ROOT = Path(__file__).parents[2]
@@ -306,25 +307,10 @@ print(boss.getFromDef("BALL").getPosition())
 """
 
 
-@pytest.fixture
-def project(tmp_path: Path) -> Path:
-    (tmp_path / "worlds").mkdir()
-    (tmp_path / "worlds" / "w.wbt").write_text(WORLD, encoding="utf-8")
-    (tmp_path / "controllers" / "boss").mkdir(parents=True)
-    return tmp_path
-
-
-def _start(project: Path, steps: int, *options: str) -> subprocess.Popen[str]:
-    project.joinpath("controllers", "boss", "boss.py").write_text(BOSS.format(steps=steps), encoding="utf-8")
-    words = [sys.executable, "-m", "deepbots_cli", "webots", str(project / "worlds" / "w.wbt")]
-    return subprocess.Popen(
-        [*words, "--allow-code", *options],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        encoding="utf-8",
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-    )
+def _start(project: Project, steps: int, *options: str) -> subprocess.Popen[str]:
+    project.write("worlds/w.wbt", WORLD)
+    project.controller("boss", BOSS.format(steps=steps))
+    return project.start(*options)
 
 
 @contextmanager
@@ -337,7 +323,7 @@ def ended(process: subprocess.Popen[str]) -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_a_run_with_a_page_is_the_same_run(project: Path):
+def test_a_run_with_a_page_is_the_same_run(project: Project):
     plain, seen = (
         _start(project, 60, "--fast", *more).communicate(timeout=120)
         for more in ([], ["--view", "--port", "0"])
@@ -348,15 +334,13 @@ def test_a_run_with_a_page_is_the_same_run(project: Path):
     assert "Keyboard" not in seen[1]
 
 
-def test_a_port_needs_the_page(project: Path, deepbots):
-    assert (
-        "--port needs --view" in deepbots("webots", "worlds/w.wbt", "--allow-code", "--port", "0", code=2).err
-    )
+def test_a_port_needs_the_page(project: Project):
+    assert "--port needs --view" in project.run("--port", "0", code=2).err
 
 
 @pytest.mark.browser
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")
-def test_a_person_sees_the_world_and_drives_it_by_keys(project: Path):
+def test_a_person_sees_the_world_and_drives_it_by_keys(project: Project):
     process = _start(project, 100_000, "--view", "--port", "0")
     assert process.stderr is not None
 
@@ -643,6 +627,7 @@ def test_another_projection_says_so(node: str):
 @pytest.mark.slow
 def test_without_opengl_a_camera_says_so():
     script = """
+from tests.webots.conftest import Project
 from tests.webots.exported_projects import device, read, simulate
 simulation = simulate("Robot { children [ Camera { } GPS { } ] }")
 device(simulation, "gps").enable(8)
