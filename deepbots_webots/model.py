@@ -64,6 +64,7 @@ class ModelBuilder:
             self._add_body(body)
         self._add_exclusions()
         self._add_pairs()
+        self._add_loops()
 
     def _add_body(self, body: Body) -> None:
         parent = self.spec.worldbody if body.parent is None else self.bodies[body.parent.index]
@@ -132,6 +133,18 @@ class ModelBuilder:
             for at, body in enumerate(bodies):
                 for other_body in bodies[at + 1 :]:
                     self.spec.add_exclude(bodyname1=f"b{body.index}", bodyname2=f"b{other_body.index}")
+
+    def _add_loops(self) -> None:
+        for loop in self.scene.loops:
+            self.spec.add_equality(
+                type=mj.mjtEq.mjEQ_WELD,
+                objtype=mj.mjtObj.mjOBJ_BODY,
+                name1=f"b{loop.end.index}",
+                name2="world" if loop.other is None else f"b{loop.other.index}",
+                data=[*[0.0] * 10, 1.0, 0.0],  # in their pose at the start; torques count as forces at 1 m
+                solref=[self.contact_time, 1.0],
+                solimp=MOTOR_IMPEDANCE,  # that of contacts lets a rod of 1 m sag by 2 mm
+            )
 
     def _add_pairs(self) -> None:
         """Give pairs of materials their friction, where it is not the larger one of the two."""

@@ -145,6 +145,13 @@ class Propeller(NamedTuple):
     joint: Joint
 
 
+class Loop(NamedTuple):
+    """A joint that closes a loop: the body at its end is a part of another one; None is the world."""
+
+    end: Body
+    other: Body | None
+
+
 @dataclass(eq=False)
 class Body:
     """A body: its frame in its parent, or in the world; its joints, its geometries, and the inertias of its
@@ -239,6 +246,7 @@ class Scene:
     visuals: list[Visual] = field(default_factory=list)
     lights: list[Visual] = field(default_factory=list)
     propellers: list[Propeller] = field(default_factory=list)
+    loops: list[Loop] = field(default_factory=list)
 
     @property
     def nodes(self) -> list[Node]:
@@ -293,6 +301,7 @@ def build_scene(world: World) -> Scene:
         if real(node).type == "WorldInfo":
             builder.read_world_info(real(node))
     builder.add(root, _Site(None, ORIGIN, UNIT, None))
+    builder.close_loops()
     return scene
 
 
@@ -314,6 +323,7 @@ def add_nodes(scene: Scene, findings: WorldFindings, nodes: Sequence[Node], oute
     for node in nodes:
         builder._link(node, outer)
         builder.add(node, _Site(body, frame, UNIT, None if body is None else body.robot, outer))
+    builder.close_loops()
     findings.require_none()
 
 
@@ -336,6 +346,7 @@ def remove_node(scene: Scene, node: Node) -> None:
     scene.lights = [light for light in scene.lights if light.node not in gone and light.body in bodies]
     propellers = [propeller for propeller in scene.propellers if propeller.joint.node not in gone]
     scene.propellers = [propeller for propeller in propellers if propeller.body in bodies]
+    scene.loops = [loop for loop in scene.loops if bodies.issuperset(loop)]
     visuals = [visual for visual in scene.visuals if visual.node not in gone or visual.body is not around]
     scene.visuals = [visual for visual in visuals if visual.body in bodies]
     attachments = scene.attachments.items()
@@ -381,6 +392,7 @@ class _Builder:
         self.scene, self.files, self.findings = scene, files, findings
         self._shapes: dict[tuple[Node, Triple], Shape | None] = {}
         self._points = 0
+        self._open_loops: list[Body] = []
 
     def read_world_info(self, info: Node) -> None:
         scene = self.scene
@@ -592,15 +604,32 @@ class _Builder:
             self._link(inner, end)
             end = inner
         node_as_written, end = end, real(end)
-        if not is_a(end, "Solid"):
+        closes_loop = end.type == "SolidReference"
+        if not (closes_loop or is_a(end, "Solid")):
             self.findings.error(node.span, f"the end point {end.type} of a joint is not implemented")
             return
-        body = self._body(end, site.body, compose(site.frame, _frame_of(end), site.scale), site.robot)
+        frame = site.frame if closes_loop else compose(site.frame, _frame_of(end), site.scale)
+        body = self._body(end, site.body, frame, site.robot)
         self._add_axes(node, body, site)
         self._add_joint_devices(node, body, site.robot)
+        if closes_loop:
+            self._open_loops.append(body)
+            return
         if node_as_written is not end and end.type == "Robot":
             self.findings.warning(end.span, "a robot at the end of a joint")
         self._fill(end, body, _Site(body, ORIGIN, _scaled(site.scale, end), site.robot, end, site.turn))
+
+    def close_loops(self) -> None:
+        """Find the solids that joints name as their end points, once all solids are known."""
+        for end in self._open_loops:
+            name = text(end.node, "solidName")
+            solid = solid_of_name(self.scene, name)
+            if solid is not None or name == "<static environment>":
+                other = None if solid is None else self.scene.attachments[solid][0]
+                self.scene.loops.append(Loop(end, other))
+            else:
+                self.findings.error(end.node.span, f"there is no solid '{name[:60]}'")
+        self._open_loops.clear()
 
     def _add_propeller(self, node: Node, site: _Site) -> None:
         """Add a propeller, whose helix is seen, and has no mass."""

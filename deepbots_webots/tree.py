@@ -363,6 +363,8 @@ class Field:
     def getCount(self) -> int:
         return len(self._items()) // size_of(self.getTypeName())
 
+    name, type, type_name, count = map(property, (getName, getType, getTypeName, getCount))
+
     def getMFNode(self, index: int) -> Node | None:
         items = self._items()
         item = items[index] if -len(items) <= index < len(items) else None

@@ -449,6 +449,8 @@ def read_project(path: Path, library: Sequence[Path] = ()) -> Draft:
     if scene.directions != AXES:
         hint = "convert the project by convert_nue_to_enu_rub_to_flu.py of Webots"
         world.findings.error(world.span, "the axes of the world are not ENU, as those of scenarios", hint)
+    for loop in scene.loops:
+        world.findings.error(loop.end.node.span, "a SolidReference in a robot has no counterpart in URDF")
     world.findings.require_none()
     roots = {
         body.robot.index: body

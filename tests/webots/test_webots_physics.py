@@ -300,13 +300,32 @@ def test_propellers_lift_their_robot_by_the_square_of_their_speed(axes: str):
     )
 
 
+def test_a_solid_reference_closes_a_loop(axes: str):
+    """A coupler between two equal rods stays level while they swing."""
+    ends = """DEF COUPLER Solid { translation 1 0 0 boundingObject Pose { translation 0.3 0 0
+      children [ Box { size 0.6 0.02 0.02 } ] } physics Physics { density -1 mass 1 } children [ HingeJoint {
+      jointParameters HingeJointParameters { axis 0 1 0 anchor 0.6 0 0 } endPoint SolidReference { solidName "far" } } ] }"""
+    rod = """HingeJoint {{ jointParameters HingeJointParameters {{ axis 0 1 0 anchor {0} 0 0 }} endPoint DEF {1} Solid {{
+      translation {0} 0 0 name "{1}" boundingObject Pose {{ translation 0.5 0 0 children [ Box {{ size 1 0.02 0.02 }} ] }}
+      physics Physics {{ density -1 mass 1 }} children [ {2} ] }} }}"""
+    near = rod.format(
+        0,
+        "near",
+        "HingeJoint { jointParameters HingeJointParameters { axis 0 1 0 anchor 1 0 0 }"
+        f" endPoint {ends} }}",
+    )
+    robot = f"DEF ROBOT Robot {{ children [ {near} {rod.format(0.6, 'far', '')} ] }}"
+    simulation = simulate(robot, axes=axes)
+    run(simulation, 0.3)
+    turned = [turn(simulation, name)[0] for name in ("near", "far", "COUPLER")]
+    inertia = 2 / 3 + 1
+    assert turned == pytest.approx([2 * 9.81 / inertia * 0.3**2 / 2] * 2 + [0], rel=0.1, abs=2e-3)
+
+
 @pytest.mark.parametrize(
     ("joint", "message"),
     [
-        (
-            "HingeJoint { endPoint SolidReference { } }",
-            "the end point SolidReference of a joint is not implemented",
-        ),
+        ('HingeJoint { endPoint SolidReference { solidName "x" } }', "there is no solid 'x'"),
         *(
             (
                 f"BallJoint {{ {fields} endPoint Solid {{ }} }}",

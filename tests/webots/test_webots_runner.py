@@ -412,7 +412,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
         place = cart.getField("translation")
         place.value = [1, 2, 3]
         boss.step()
-        print(cart.getPosition(), place.value, boss.getRoot().getField("children").value[0].getTypeName(), cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
+        print(cart.getPosition(), place.value, boss.getRoot().getField("children").value[0].getTypeName(), place.type_name, cart == boss.getFromDef("CART"), cart.getType() == Node.ROBOT)
         print(isinstance(boss.getEmitter("emitter"), Emitter), isinstance(boss.getDevice("emitter"), Device))
         print(Emitter("emitter") is boss.getDevice("emitter"), Receiver("receiver", 64).getSamplingPeriod(), Receiver("receiver").getSamplingPeriod())
         print(hasattr(controller, "Motion"), getattr(controller, "Motn", None), AnsiCodes.RED_FOREGROUND == chr(27) + "[31m")
@@ -428,7 +428,7 @@ def test_a_controller_uses_the_whole_interface(project: Project):
     )
     ran = project.run()
     assert [line.removeprefix("[boss] ") for line in ran.out.splitlines() if "boss" in line] == [
-        "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] WorldInfo True True",
+        "[1.0, 2.0, 3.0] [1.0, 2.0, 3.0] WorldInfo SFVec3f True True",
         "True True",
         "True 64 32",
         "True None True",
