@@ -172,10 +172,12 @@ class CameraRecognitionObject:
     number_of_colors: int
     colors: list[float]
     model: str
-    getId, getPosition, getOrientation = returns("id"), returns("position"), returns("orientation")
-    getSize, getModel = returns("size"), returns("model")
-    getPositionOnImage, getSizeOnImage = returns("position_on_image"), returns("size_on_image")
-    getNumberOfColors, getColors = returns("number_of_colors"), returns("colors")
+
+
+for _name in CameraRecognitionObject.__annotations__:
+    # Releases before R2022b have `get_id`, and later ones `getId`.
+    for _getter in (f"get_{_name}", f"get{_name.title().replace('_', '')}"):
+        setattr(CameraRecognitionObject, _getter, returns(_name))
 
 
 class _Recognition(Sensor):

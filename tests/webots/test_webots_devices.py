@@ -646,7 +646,7 @@ def test_a_recognized_object_has_its_place_in_space_and_in_the_picture():
     left, right, top, bottom = 100 + 100 * 0.4 / 2.2, 100 + 100 * 0.6 / 1.8, 50 - 50 / 1.8, 50 + 30 / 1.8
     assert seen.getSizeOnImage() == [int(right) - int(left), int(bottom) - int(top)]
     assert seen.getPositionOnImage() == pytest.approx([(left + right) / 2, (top + bottom) / 2], abs=1)
-    assert (seen.getModel(), seen.getNumberOfColors(), seen.colors[3:]) == ("cereal", 2, [0, 0, 1])
+    assert (seen.getModel(), seen.get_number_of_colors(), seen.colors[3:]) == ("cereal", 2, [0, 0, 1])
 
 
 @pytest.mark.parametrize(
