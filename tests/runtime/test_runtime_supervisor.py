@@ -79,10 +79,10 @@ def test_an_ending_that_is_true_at_the_start_is_an_error_and_leaves_nothing_to_s
 @pytest.mark.parametrize(
     ("term", "line"),
     [
-        ("1 / (step - 3)", "1.0 / (step_count - 3.0)"),
-        ("sqrt(2.5 - step)", "sqrt(2.5 - step_count)"),
-        ("exp(1000 * step) if step == 3 else 0", "exp(1000.0 * step_count)"),
-        ("log(3 - step)", "log(3.0 - step_count)"),
+        ("1 / (step - 3)", "1.0 / (step - 3.0)"),
+        ("sqrt(2.5 - step)", "sqrt(2.5 - step)"),
+        ("exp(1000 * step) if step == 3 else 0", "exp(1000.0 * step)"),
+        ("log(3 - step)", "log(3.0 - step)"),
     ],
 )
 def test_an_expression_without_a_value_names_its_line_and_the_step(small: Make, term: str, line: str) -> None:

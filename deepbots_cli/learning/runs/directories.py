@@ -17,7 +17,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
-from itertools import chain
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -358,10 +357,12 @@ def run_folders(runs: Sequence[str | Path]) -> list[Path]:
     their names."""
     folders: dict[Path, None] = {}
     for path in map(Path, runs):
-        is_outer = os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN
-        outer = [path, *sorted(each for each in path.glob("*") if folder_kind(each) is SourceKind.GROUP)]
-        inner = [sorted(file.parent for file in each.glob(f"*/{RECORD_NAME}")) for each in outer]
-        folders |= dict.fromkeys(chain.from_iterable(inner) if is_outer and any(inner) else [path])
+        inner: list[Path] = []
+        if os.path.isdir(path) and folder_kind(path) is not SourceKind.RUN:
+            groups = sorted(each for each in path.glob("*") if folder_kind(each) is SourceKind.GROUP)
+            for outer in (path, *groups):
+                inner += sorted(file.parent for file in outer.glob(f"*/{RECORD_NAME}"))
+        folders |= dict.fromkeys(inner or [path])
     return list(folders)
 
 
