@@ -423,7 +423,7 @@ class Expander:
         self._library_bodies: dict[str, Node] = {}
 
     def expand(self, nodes: list[Node], scope: Document) -> None:
-        """Expand nodes in place. A node counts as often as USE and IS repeat it.
+        """Expand nodes in place. A node counts once for each USE and IS that repeats it.
 
         Raises:
             WorldError: The world has too many nodes, or too many levels of them.

@@ -503,8 +503,8 @@ def _ambient(light: Node) -> float:
 
 
 def _beam(node: Node, frame: Frame, position: Triple) -> tuple[Triple, float, float]:
-    """Return the direction to a source and its distance from a position, m; and the share of its intensity that
-    arrives there, 1 / (a + b d + c d^2)."""
+    """Return the direction to a source and its distance from a position, m; and the share of its intensity
+    that arrives there, 1 / (a + b d + c d^2)."""
     if node.type == "DirectionalLight":
         back = frames.scaled(_unit(vector(node, "direction")), -1.0)
         return frames.rotate(frame[1], back), SUN_DISTANCE_M, 1.0

@@ -61,7 +61,8 @@ class StudyDisplay(StudyReporter):
         record = study.record
         if not quiet:
             terminal.note(
-                f"study {study.path}: {', '.join(f'{name} = {space}' for name, space in record.search.items())}"
+                f"study {study.path}:"
+                f" {', '.join(f'{name} = {space}' for name, space in record.search.items())}"
             )
             terminal.note(
                 f"{counted(record.trials, 'trial')} with {counted(len(record.seeds), 'seed')} and at most"

@@ -964,8 +964,8 @@ CAUSES: tuple[Cause, ...] = (
         title="exploration prevents success",
         likelihood=0.923,
         numbers=learner.exploration_hides_success,
-        text="Without exploration, the policy succeeds in {without}{where} at the end of the training. The last"
-        " episodes of the training, with exploration, succeed in {with}: exploration prevents success.",
+        text="Without exploration, the policy succeeds in {without}{where} at the end of the training. The"
+        " last episodes of the training, with exploration, succeed in {with}: exploration prevents success.",
         advice="{remedy}, or loosen the condition for success. You can already use the policy: `deepbots"
         " view`, `eval` and `export` run it without exploration.",
     ),

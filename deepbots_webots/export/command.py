@@ -75,8 +75,8 @@ def export(
         prepared = prepare(Source.open(run.path, permissions, SourceKind.RUN))
         if run.program.timing != "delayed":
             prepared.gaps.differs.append(
-                "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the same"
-                " returns."
+                "The policy was trained with `timing: immediate`; train it with `timing: delayed` for the"
+                " same returns."
             )
         policy = policy_of_run(run, ref.name)
     else:

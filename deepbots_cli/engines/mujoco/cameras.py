@@ -106,7 +106,8 @@ class Renderers:
 
 
 def aim(renderer: Any, eye: Triple, ahead: Any, up: Any, range: tuple[float, float], slope: float) -> None:
-    """Let a renderer look ahead within a range (m); `slope` is the tangent of half the vertical field of view."""
+    """Let a renderer look ahead within a range (m); `slope` is the tangent of half the vertical field of
+    view."""
     for camera in renderer.scene.camera:  # one for each eye; a picture is from between them
         camera.pos = eye
         camera.forward = ahead
