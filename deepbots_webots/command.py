@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from deepbots_cli.cli import terminal
-from deepbots_cli.cli.command import Force, Host, Json, Open, Port, integer, option
+from deepbots_cli.cli.command import Host, Json, Open, Port, integer, option
 from deepbots_cli.cli.exits import FAILED, INTERRUPTED
 from deepbots_cli.cli.tables import table
 from deepbots_cli.errors import UsageError
@@ -77,10 +77,6 @@ def command(
             "The program of a robot, such as of one whose controller is <extern>; may be repeated.",
         ),
     ] = None,
-    record: Annotated[
-        Path | None,
-        option("--record FILE", "Write a video of the run from the viewpoint of the world: .mp4 or .gif."),
-    ] = None,
     view: Annotated[
         bool,
         option(
@@ -90,7 +86,6 @@ def command(
     host: Host = "127.0.0.1",
     port: Port = None,
     open_: Open = False,
-    force: Force = False,
     as_json: Json = False,
 ) -> None:
     """Run the controllers of a world of Webots."""
@@ -100,7 +95,6 @@ def command(
         if not allow_code:
             _show_robots(scene, programs, as_json=as_json)
             return
-        from deepbots_webots.rendering import video
         from deepbots_webots.runner import Runner, packages_of
         from deepbots_webots.simulation import Pace, Simulation
 
@@ -118,8 +112,6 @@ def command(
                     terminal.note("Ctrl-C ends it")
                     if open_:
                         webbrowser.open(viewer.address)
-                if record is not None:
-                    after_step.append(stack.enter_context(video(simulation, record.resolve(), force=force)))
                 runner = Runner(
                     simulation,
                     programs,
@@ -240,21 +232,16 @@ def _show_robots(scene: Scene, programs: Sequence[tuple[Robot, Program]], *, as_
         {
             "robot": robot.name,
             "supervisor": "yes" if robot.is_supervisor else "no",
-            "controller": _controller(robot, paths.get(robot)),
-            "runs": "yes" if paths.get(robot) is not None else "no",
+            # The file of a controller that has another name.
+            "controller": robot.controller if path is None or path.stem == robot.controller else path.name,
+            "runs": "yes" if path is not None else "no",
             "devices": ", ".join(robot.devices),
         }
-        for robot in scene.robots
+        for robot, path in ((robot, paths.get(robot)) for robot in scene.robots)
     ]
-    note = "add --allow-code to run these controllers, if you trust the project"
-    if not rows:
-        note = "the world has no robots, so that no controller would run"
+    none = "the world has no robots, so that no controller would run"
+    note = "add --allow-code to run these controllers, if you trust the project" if rows else none
     terminal.show(rows, table(rows, is_prose=True), *([note] if not as_json else []), as_json=as_json)
-
-
-def _controller(robot: Robot, path: Path | None) -> str:
-    """Return the name of a controller; the file of one that has another name."""
-    return robot.controller if path is None or path.stem == robot.controller else path.name
 
 
 def _leave(code: int) -> NoReturn:
@@ -267,7 +254,7 @@ def _leave(code: int) -> NoReturn:
 def _report(outcome: Outcome, seconds: float, physics: float, *, as_json: bool) -> None:
     for problem in outcome.problems:
         terminal.print_error(problem)
-    rate = outcome.seconds / seconds if seconds else 0.0
+    rate = outcome.seconds / max(seconds, 1e-9)
     speed = f"{rate:.0f}" if rate >= 10 else f"{rate:.2g}"
     facts = {
         "exit_code": outcome.exit_code,

@@ -13,6 +13,8 @@ import sys
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partialmethod
+from operator import attrgetter
 from typing import Any
 
 from deepbots_cli import frames
@@ -55,11 +57,8 @@ class JointDevice(Device):
                 return device_object(self._simulation, spec)
         return None
 
-    def getMotor(self) -> Any:
-        return self._sibling("RotationalMotor", "LinearMotor")
-
-    def getPositionSensor(self) -> Any:
-        return self._sibling("PositionSensor")
+    getMotor = partialmethod(_sibling, "RotationalMotor", "LinearMotor")
+    getPositionSensor = partialmethod(_sibling, "PositionSensor")
 
 
 class PositionSensor(JointDevice, ScalarSensor):
@@ -108,8 +107,10 @@ class Motor(JointDevice):
         velocity, state = float(velocity), self._state
         if self._ignores(math.isnan(velocity), "the velocity is NaN"):
             return
-        is_wrong = velocity < 0 and not math.isinf(state.target_position)
-        if self._ignores(is_wrong, f"the velocity {velocity:g} is negative under position control"):
+        is_position = not math.isinf(state.target_position)
+        if self._ignores(
+            velocity < 0 and is_position, f"the velocity {velocity:g} is negative under position control"
+        ):
             return
         if abs(velocity) > state.max_velocity:
             if math.isfinite(velocity):
@@ -126,8 +127,10 @@ class Motor(JointDevice):
         return is_wrong
 
     def setAcceleration(self, acceleration: float) -> None:
-        is_wrong = acceleration != -1 and not acceleration >= 0
-        if self._ignores(is_wrong, f"the acceleration {acceleration:g} is neither -1 nor at least 0"):
+        if self._ignores(
+            not (acceleration == -1 or acceleration >= 0),
+            f"the acceleration {acceleration:g} is neither -1 nor at least 0",
+        ):
             return
         self._state.acceleration = float(acceleration)
 
@@ -173,12 +176,8 @@ class Motor(JointDevice):
 
     getMultiplier = returns_number("multiplier")
 
-    def enableTorqueFeedback(self, samplingPeriod: int) -> None:
-        self._feedback.enable(samplingPeriod)
-
-    def disableTorqueFeedback(self) -> None:
-        self._feedback.disable()
-
+    enableTorqueFeedback = property(attrgetter("_feedback.enable"))
+    disableTorqueFeedback = property(attrgetter("_feedback.disable"))
     getTorqueFeedback = returns("_feedback._value")
     getTorqueFeedbackSamplingPeriod = returns("_feedback._asked")
     enableForceFeedback = enableTorqueFeedback
@@ -291,8 +290,7 @@ class Receiver(_ChannelDevice, Sensor):
     getEmitterDirection = returns("_head.direction", list)
 
     def getString(self) -> str:
-        text: bytes = self.getBytes().partition(b"\0")[0]
-        return text.decode("utf-8")
+        return str(self.getBytes().partition(b"\0")[0], "utf-8")
 
     def getFloats(self) -> list[float]:
         data = self._head.data

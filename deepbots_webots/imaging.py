@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from functools import partialmethod
 from itertools import product
 from math import nan
+from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,12 +67,7 @@ class _Optics(Sensor):
             raise EngineError(f"{self._spec.type} '{self._spec.name}' cannot draw: {error}") from error
 
     getFov = returns("_fov")
-
-    def getWidth(self) -> int:
-        return self._size[0]
-
-    def getHeight(self) -> int:
-        return self._size[1]
+    getWidth, getHeight = (returns("_size", itemgetter(index)) for index in range(2))
 
     def _noises(self, deviation: float, shape: tuple[int, ...]) -> Floats:
         """Return noise for a picture, which numpy draws at once; its seed comes from the world, so that runs
@@ -148,9 +145,7 @@ class Camera(_Optics):
         else:
             self._warn("recognitionEnable() has no effect: the camera has no Recognition node")
 
-    def recognitionDisable(self) -> None:
-        self._recognition.disable()
-
+    recognitionDisable = property(attrgetter("_recognition.disable"))
     getRecognitionSamplingPeriod = returns("_recognition._asked")
     getRecognitionObjects = returns("_recognition.objects", list)
 
@@ -428,12 +423,10 @@ class Lidar(_HasRange):
     def getRangeImageArray(self) -> list[list[float]]:
         return [self.getLayerRangeImage(layer) for layer in range(self._layers)]
 
-    def enablePointCloud(self) -> None:
-        self._has_points = True
+    def enablePointCloud(self, has_points: bool = True) -> None:
+        self._has_points = has_points
 
-    def disablePointCloud(self) -> None:
-        self._has_points = False
-
+    disablePointCloud = partialmethod(enablePointCloud, False)
     isPointCloudEnabled = returns("_has_points")
 
     def getPointCloud(self) -> list[LidarPoint]:

@@ -198,7 +198,14 @@ def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bo
             x, y = (*extent, 1.0, 1.0)[:2] if is_seen else (0.0, 0.0)
             fields = {"type": types.mjGEOM_PLANE, "size": [x / 2, y / 2, 1.0]}
         case Grid():
-            _add_grid(spec, shape, name)
+            rise = max(float(np.ptp(shape.heights)), 1e-6)
+            spec.add_hfield(
+                name=name,
+                size=[shape.size[0] / 2, shape.size[1] / 2, rise, GRID_DEPTH_M],
+                nrow=shape.heights.shape[0],
+                ncol=shape.heights.shape[1],
+                userdata=((shape.heights - shape.heights.min()) / rise).ravel().tolist(),
+            )
             fields = {"type": types.mjGEOM_HFIELD, "hfieldname": name}
             # A grid begins at its origin in Webots, and has its middle there in MuJoCo.
             middle = (shape.size[0] / 2, shape.size[1] / 2, float(shape.heights.min()))
@@ -209,18 +216,6 @@ def geom_fields(spec: Any, shape: Shape, frame: Frame, name: str, *, is_seen: bo
             kinds = mj.mjtMeshInertia
             mesh.inertia = kinds.mjMESH_INERTIA_SHELL if is_seen else kinds.mjMESH_INERTIA_CONVEX
     return fields | {"pos": frame[0], "quat": frames.wxyz(frame[1])}
-
-
-def _add_grid(spec: Any, grid: Grid, name: str) -> None:
-    heights = grid.heights
-    rise = max(float(np.ptp(heights)), 1e-6)
-    spec.add_hfield(
-        name=name,
-        size=[grid.size[0] / 2, grid.size[1] / 2, rise, GRID_DEPTH_M],
-        nrow=heights.shape[0],
-        ncol=heights.shape[1],
-        userdata=((heights - heights.min()) / rise).ravel().tolist(),
-    )
 
 
 def _set_inertia(element: Any, inertial: Inertial) -> None:

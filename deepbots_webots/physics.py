@@ -478,9 +478,6 @@ class Physics:
 
     # Changes
 
-    def is_free(self, body: Body) -> bool:
-        return body in self._free
-
     def place(self, body: Body, frame: Frame) -> None:
         """Move a body that stands alone, in the world; its velocity stays."""
         (x, y, z), (qx, qy, qz, w) = frame

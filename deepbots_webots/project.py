@@ -292,17 +292,13 @@ class Equivalent(Proto):
         return self.template.render(functions, has_old_axes=node.has_old_axes)
 
 
-def _sizes(node: Node, name: str) -> list[float]:
+def _positive(node: Node, name: str) -> list[float]:
+    """Return numbers; the default if one is not positive."""
     values = numbers(node, name)
     is_written = node.has_old_axes and name in node.fields
     # Before R2022a, the second of three sizes was upward.
-    is_turned = is_written and node.interface[name].type in ("SFVec2f", "SFVec3f")
-    return [values[-1], *values[:-1]] if is_turned else values
-
-
-def _positive(node: Node, name: str) -> list[float]:
-    """Return numbers; the default if one is not positive."""
-    values = _sizes(node, name)
+    if is_written and node.interface[name].type in ("SFVec2f", "SFVec3f"):
+        values = [values[-1], *values[:-1]]
     is_positive = all(0 < value < 1e4 for value in values)
     return values if is_positive else numbers(replace(node, fields={}), name)
 

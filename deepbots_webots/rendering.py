@@ -1,5 +1,5 @@
 """Pictures of a world, drawn with OpenGL from a model of its own: the Shape nodes in place of bounding
-objects; a video of a run, from the viewpoint of the world.
+objects.
 
 Shapes have the base color of their appearance, with textures on boxes, planes and grids, and are lit from the
 camera.
@@ -7,15 +7,9 @@ camera.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from functools import cache
 from itertools import count
-from math import ceil, inf, tan
-from pathlib import Path
-from queue import Queue
+from math import inf, tan
 from typing import Any
 
 import numpy as np
@@ -25,16 +19,12 @@ from deepbots_cli import frames
 from deepbots_cli.engines.mujoco import mujoco as mj
 from deepbots_cli.engines.mujoco.cameras import Renderers, aim, is_available, opens_context
 from deepbots_cli.errors import EngineError
-from deepbots_cli.files import atomic_write
 from deepbots_cli.frames import Frame
 from deepbots_cli.robots.model import Box
-from deepbots_cli.view.pictures import check_target, write_gif, write_mp4
 from deepbots_webots.model import geom_fields
-from deepbots_webots.nodes import number, real, rotation, text, turn_of, vector
 from deepbots_webots.physics import Physics
-from deepbots_webots.scene import Visual, solid_of_name
+from deepbots_webots.scene import Visual
 from deepbots_webots.shapes import Grid, Plane, Shape, look_of, sky_color, visible_shape
-from deepbots_webots.simulation import Simulation
 from deepbots_webots.syntax import Node
 
 Image = NDArray[np.uint8]
@@ -144,7 +134,7 @@ class _VisualModel:
         spec.visual.headlight.diffuse = (0.55,) * 3
         spec.visual.headlight.specular = (0.0,) * 3
         spec.compiler.alignfree = False
-        self._count = 0
+        self._names = map("s{}".format, count(1))
         sky = sky_color(self._scene.nodes) or (0.0, 0.0, 0.0)
         spec.add_texture(
             name="sky",
@@ -168,7 +158,7 @@ class _VisualModel:
             return
         parent = self.spec.worldbody if visual.body is None else self.bodies[visual.body.index]
         parent.add_geom(
-            **geom_fields(self.spec, shape, visual.frame, self._name(), is_seen=True),
+            **geom_fields(self.spec, shape, visual.frame, next(self._names), is_seen=True),
             **self._surface(visual.node, shape),
             contype=0,
             conaffinity=0,
@@ -181,7 +171,7 @@ class _VisualModel:
         if look.texture is None or not isinstance(shape, Box | Plane | Grid):
             return {"rgba": look.color}
         rows, columns, _ = look.texture.pixels.shape
-        name = self._name()
+        name = next(self._names)
         picture = self.spec.add_texture(
             name=name, type=mj.mjtTexture.mjTEXTURE_2D, width=columns, height=rows, nchannel=3
         )
@@ -190,100 +180,3 @@ class _VisualModel:
         material = self.spec.add_material(name=name, texuniform=False, texrepeat=repeats)
         material.textures[mj.mjtTextureRole.mjTEXROLE_RGB] = name
         return {"rgba": look.base, "material": name}
-
-    def _name(self) -> str:
-        self._count += 1
-        return f"s{self._count}"
-
-
-# Video
-
-
-# From 3 m, to the origin, for a world without a viewpoint.
-_OVERVIEW: Frame = ((-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0))
-
-
-class Viewpoint:
-    """The Viewpoint node of a world: where it is, and what it follows."""
-
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
-        nodes = simulation.scene.nodes
-        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
-        self.fov, self.frame, self._followed = 0.785, _OVERVIEW, None
-        """The horizontal field of view (rad), and the frame at the start."""
-        if node is not None:
-            self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
-            orientation = frames.multiply(rotation(node, "orientation"), turn_of(node))
-            self.frame = vector(node, "position"), orientation
-            self._followed = solid_of_name(simulation.scene, text(node, "follow"))
-        self._start_position = self._followed_position()
-
-    def now(self) -> Frame:
-        """Return the frame of the picture, which looks along x."""
-        return frames.add(self.frame[0], self.moved()), self.frame[1]
-
-    def moved(self) -> frames.Triple:
-        """Return how far the solid that the viewpoint follows has moved since the start, m."""
-        return frames.subtract(self._followed_position(), self._start_position)
-
-    def _followed_position(self) -> frames.Triple:
-        if self._followed is None:
-            return 0.0, 0.0, 0.0
-        return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
-
-
-SUFFIXES = (".mp4", ".gif")
-WIDTH, HEIGHT = 640, 480
-FRAME_RATES = {".mp4": 32.0, ".gif": 10.0}
-"""The largest number of pictures per simulated second."""
-_WAITING = 8  # pictures that are drawn and not written yet
-
-
-@contextmanager
-def video(simulation: Simulation, path: Path, *, force: bool = False) -> Iterator[Callable[[], None]]:
-    """Write a video while a world runs; yields a function to call after each step. A file is overwritten only
-    by `force`.
-
-    The video plays in simulated time. The picture follows the solid that the viewpoint follows.
-
-    Raises:
-        UsageError: The file exists, has another suffix, or cannot be written.
-        MissingExtraError: imageio is missing for an MP4.
-        EngineError: There is no OpenGL.
-    """
-    check_target(path, SUFFIXES, force=force)
-    require_opengl()
-    step, suffix = simulation.basic_step / 1000, path.suffix.lower()
-    # A rate of pictures that divides the rate of steps must not become a lower one by rounding.
-    every = max(1, ceil(1 / step / FRAME_RATES[suffix] - 1e-9))
-    view, steps = Viewpoint(simulation), count(1)
-    pictures: Queue[Any] = Queue(_WAITING)
-
-    def draw() -> None:
-        pictures.put(simulation.pictures.colors(view.now(), (WIDTH, HEIGHT), view.fov))
-
-    def draw_if_due() -> None:
-        if next(steps) % every == 0:
-            draw()
-
-    def taken() -> Iterator[Any]:
-        while (picture := pictures.get()) is not None:
-            yield picture
-
-    def write() -> None:
-        try:
-            with atomic_write(path) as draft:
-                (write_gif if suffix == ".gif" else write_mp4)(draft, taken(), 1 / step / every)
-        except BaseException:
-            deque(taken(), 0)  # so that the thread of the run does not wait for room in the queue
-            raise
-
-    with ThreadPoolExecutor(1) as pool:
-        draw()
-        written = pool.submit(write)
-        try:
-            yield draw_if_due
-        finally:
-            pictures.put(None)
-        written.result()

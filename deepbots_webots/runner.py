@@ -223,12 +223,12 @@ class Runner:
         simulation = self.simulation
         codes = [simulation.quit_status, *(controller.exit_code for controller in self.controllers)]
         code = next(filter(None, codes), int(bool(self._problems)))
-        stuck = [controller for controller in self.controllers if not controller.has_ended]
+        is_stuck = not all(controller.has_ended for controller in self.controllers)
         seconds, steps = simulation.ticks / 1000, simulation.ticks // simulation.basic_step
         ends = tuple(
             (controller.robot.name, controller.exit_code, controller.steps) for controller in self.controllers
         )
-        return Outcome(code, seconds, steps, tuple(self._problems), ends, bool(stuck))
+        return Outcome(code, seconds, steps, tuple(self._problems), ends, is_stuck)
 
     @contextmanager
     def _surroundings(self) -> Iterator[None]:
@@ -239,7 +239,9 @@ class Runner:
         # Python searches the folder of a program first, so modules of the project hide installed ones.
         sys.meta_path.insert(0, self)
         targets = (self._output, self._errors)
-        streams = tuple(_Prefixed(target, self._speaker) for target in targets)
+        streams = tuple(
+            _Prefixed(target, lambda: self._current.robot.name if self._current else "") for target in targets
+        )
         sys.stdout, sys.stderr = streams
         added_variables = CONTROLLER_ENVIRONMENT.keys() - os.environ.keys()
         os.environ.update({variable: CONTROLLER_ENVIRONMENT[variable] for variable in added_variables})
@@ -266,9 +268,6 @@ class Runner:
             if main is not None:
                 sys.modules["__main__"] = main
 
-    def _speaker(self) -> str:
-        return self._current.robot.name if self._current is not None else ""
-
     # The threads of controllers
 
     def _work(self, controller: Controller) -> None:
@@ -276,8 +275,10 @@ class Runner:
         try:
             if not self.is_over:
                 self._execute(controller)
-        except SystemExit as error:
-            controller.exit_code = _exit_code(error)
+        except SystemExit as error:  # a text is printed, and its code is 1
+            if not isinstance(error.code, int | None):
+                print(error.code, file=sys.stderr)
+            controller.exit_code = error.code if isinstance(error.code, int) else int(error.code is not None)
         except BaseException as error:  # noqa: BLE001  # a failure of a program is reported
             controller.exit_code = 1
             _print_traceback(error)
@@ -411,10 +412,8 @@ class Runner:
 
 def _ignore_signal(number: int, _: object) -> object:
     """Take the place of `signal.signal`, which only the main thread of a process may call."""
-    name = signal.Signals(number).name
-    print(
-        f"Warning: signal.signal({name}, ...) has no effect: deepbots receives all signals", file=sys.stderr
-    )
+    call = f"signal.signal({signal.Signals(number).name}, ...)"
+    print(f"Warning: {call} has no effect: deepbots receives all signals", file=sys.stderr)
     return signal.getsignal(number)
 
 
@@ -453,16 +452,6 @@ class _Prefixed(TextIOBase):
 
     def fileno(self) -> int:
         return self._stream.fileno()
-
-
-def _exit_code(error: SystemExit) -> int:
-    """Return the exit code of a program that ends with SystemExit; a text is printed, and its code is 1."""
-    if error.code is None:
-        return 0
-    if isinstance(error.code, int):
-        return error.code
-    print(error.code, file=sys.stderr)
-    return 1
 
 
 def _print_traceback(error: BaseException) -> None:

@@ -282,7 +282,7 @@ MAX_POINTS = 1_000_000
 """The maximum number of points of all bounding objects, each as often as it is used. A height counts as one,
 and a face as two."""
 UNIT: Triple = (1.0, 1.0, 1.0)
-_UNSUPPORTED = frozenset(["Track", "Charger", "Fluid"])
+_UNSUPPORTED = frozenset(["Track", "Charger"])
 _DEVICE_SLOTS = ("device", "device2")
 
 
@@ -452,8 +452,6 @@ class _Builder:
             self._add_propeller(node, site)
         elif is_a(node, "Light"):
             self.scene.lights.append(Visual(node, site.body, site.frame, site.scale))
-        elif node.type in _UNSUPPORTED:
-            self.findings.error(node.span, f"the node {node.type} is not implemented")
 
     def _add_visual(self, node: Node, site: _Site) -> None:
         geometry = child(node, "geometry")
@@ -611,7 +609,10 @@ class _Builder:
         frame = site.frame if closes_loop else compose(site.frame, _frame_of(end), site.scale)
         body = self._body(end, site.body, frame, site.robot)
         self._add_axes(node, body, site)
-        self._add_joint_devices(node, body, site.robot)
+        for joint in body.joints:
+            for device in children(node, _DEVICE_SLOTS[joint.index]):
+                self._link(device, node)
+                self._add_joint_device(real(device), body, site.robot, joint)
         if closes_loop:
             self._open_loops.append(body)
             return
@@ -689,12 +690,6 @@ class _Builder:
         if "suspensionSpringConstant" in parameters.fields:
             self.findings.warning(parameters.span, "the suspension of a joint is not implemented")
 
-    def _add_joint_devices(self, node: Node, body: Body, robot: Robot | None) -> None:
-        for joint in body.joints:
-            for device in children(node, _DEVICE_SLOTS[joint.index]):
-                self._link(device, node)
-                self._add_joint_device(real(device), body, robot, joint)
-
     def _add_joint_device(self, device: Node, body: Body, robot: Robot | None, joint: Joint) -> None:
         if is_a(device, "Motor"):
             if joint.motor is not None:
@@ -755,18 +750,14 @@ def _scaled(scale: Triple, node: Node) -> Triple:
     return scale[0] * x, scale[1] * y, scale[2] * z
 
 
-class _Axis(NamedTuple):
-    """An axis of a joint node, and the node with its position, stops and spring."""
-
-    kind: JointKind
-    parameters: Node | None
-    axis: Triple
+_Axis = tuple[JointKind, Node | None, Triple]
+"""An axis of a joint node, and the node with its position, stops and spring."""
 
 
 def _axes(node: Node, first: Node | None) -> list[_Axis]:
     """Return the axes of a joint node."""
     if node.type == "BallJoint":
-        return [_Axis("ball", first, (0.0, 0.0, 1.0))]
+        return [("ball", first, (0.0, 0.0, 1.0))]
     if node.type == "SliderJoint":
         return [_axis("slide", first, (0.0, 0.0, 1.0))]
     axes = [_axis("hinge", first, (1.0, 0.0, 0.0))]
@@ -776,7 +767,7 @@ def _axes(node: Node, first: Node | None) -> list[_Axis]:
 
 
 def _axis(kind: JointKind, parameters: Node | None, default: Triple) -> _Axis:
-    return _Axis(kind, parameters, default if parameters is None else _vector_or(parameters, "axis", default))
+    return kind, parameters, default if parameters is None else _vector_or(parameters, "axis", default)
 
 
 _OF_SINGLE_AXES = (*("device", "device2", "device3"), "jointParameters2", "jointParameters3")

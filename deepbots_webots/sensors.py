@@ -11,7 +11,7 @@ import math
 import sys
 from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from math import nan
 from operator import attrgetter
 from typing import TYPE_CHECKING, Any
@@ -214,8 +214,7 @@ class HasLookupTable(Sensor):
     def renew(self) -> None:
         self._table = vectors(self._spec.node, "lookupTable")
 
-    def getLookupTable(self) -> list[float]:
-        return [value for row in self._table for value in row]
+    getLookupTable = returns("_table", lambda table: [*chain(*table)])
 
     def _response(self, value: float) -> float:
         """Return the response to a measurement, with noise; the measurement without a table."""
@@ -350,9 +349,7 @@ class GPS(Sensor):
     _speed: Triple = (nan, nan, nan)
     getValues = returns("_values", list)
 
-    def getSpeed(self) -> float:
-        return math.hypot(*self._speed)
-
+    getSpeed = returns("_speed", lambda speed: math.hypot(*speed))
     getSpeedVector = returns("_speed", list)
     getCoordinateSystem = returns("LOCAL")
 
@@ -384,15 +381,9 @@ class DistanceSensor(ScalarSensor, HasLookupTable):
         self._directions = ray_directions(1 if self._type == "laser" else max(1, count), aperture)
         self._weights = _ray_weights(self._directions, aperture, number(node, "gaussianWidth"))
 
-    def getType(self) -> int:
-        return {"infra-red": 1, "sonar": 2, "laser": 3}.get(self._type, 0)
-
-    def getMaxValue(self) -> float:
-        return max((row[1] for row in self._table), default=nan)
-
-    def getMinValue(self) -> float:
-        return min((row[1] for row in self._table), default=nan)
-
+    getType = returns("_type", lambda kind: {"infra-red": 1, "sonar": 2, "laser": 3}.get(kind, 0))
+    getMaxValue = returns("_table", lambda table: max((row[1] for row in table), default=nan))
+    getMinValue = returns("_table", lambda table: min((row[1] for row in table), default=nan))
     getAperture = returns_number("aperture")
 
     def sample(self) -> None:
@@ -492,14 +483,13 @@ class LightSensor(ScalarSensor, HasLookupTable):
                 hits = physics.cast(position, [direction], distance, self._spec.body.robot)
                 direct *= hits[0][1] < 0
             color = frames.dot(vector(light.node, "color"), vector(node, "colorFilter")) / 3
-            total += attenuation * (_ambient(light.node) + direct) * color
+            # As in Webots, a source with an attenuation has no ambient intensity.
+            has_ambient = (
+                light.node.type == "DirectionalLight" or vector(light.node, "attenuation") == AXES[0]
+            )
+            ambient = number(light.node, "ambientIntensity") if has_ambient else 0.0
+            total += attenuation * (ambient + direct) * color
         return total
-
-
-def _ambient(light: Node) -> float:
-    """Return the ambient intensity of a source. As in Webots, one with an attenuation has none."""
-    has_attenuation = light.type != "DirectionalLight" and vector(light, "attenuation") != (1.0, 0.0, 0.0)
-    return 0.0 if has_attenuation else number(light, "ambientIntensity")
 
 
 def _beam(node: Node, frame: Frame, position: Triple) -> tuple[Triple, float, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from deepbots_cli import frames
 from deepbots_cli.errors import UsageError
 from deepbots_cli.files import is_file, read_at_most
+from deepbots_cli.geometry import HeightGrid
 from deepbots_cli.records import dataclass
 from deepbots_cli.robots.meshes import mesh_problem, mesh_size
 from deepbots_cli.robots.model import (
@@ -60,13 +61,8 @@ class Plane:
     size: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class Grid:
-    """Heights, m, shape (rows along y, columns along x), that begin at the origin; `size` is their extent
-    along x and y, m."""
-
-    size: tuple[float, float]
-    heights: Floats
+class Grid(HeightGrid):
+    """Heights over a rectangle that begins at the origin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +173,7 @@ def _grid(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
     count = columns * rows
     filled = np.array((heights + [0.0] * count)[:count]).reshape(rows, columns)  # Webots fills with 0
     extent = ((columns - 1) * along_x, (rows - 1) * along_y)
-    return Grid(extent[::-1], filled.T * scale[2]) if node.has_old_axes else Grid(extent, filled * scale[2])
+    return Grid(filled.T * scale[2], extent[::-1]) if node.has_old_axes else Grid(filled * scale[2], extent)
 
 
 def _face_set(node: Node, scale: Triple, findings: WorldFindings) -> Shape | None:
@@ -361,17 +357,14 @@ def visible_shape(visual: Visual, files: Files) -> Shape | None:
     geometry = child(visual.node, "geometry")
     if geometry is None:
         return None
-    if geometry.type == "Cone":
-        return _cone(number(geometry, "bottomRadius"), number(geometry, "height"), visual.scale)
-    return shape_of(geometry, visual.scale, files, WorldFindings())
-
-
-def _cone(radius: float, height: float, scale: Triple) -> Shape:
-    """Return a cone around z, with its base at the bottom."""
+    if geometry.type != "Cone":
+        return shape_of(geometry, visual.scale, files, WorldFindings())
     import trimesh
 
-    cone = trimesh.creation.cone(radius, height, sections=CONE_SIDES)
-    return Mesh((cone.vertices - (0.0, 0.0, height / 2)) * scale, cone.faces.astype(np.int32))
+    height = number(geometry, "height")
+    cone = trimesh.creation.cone(number(geometry, "bottomRadius"), height, sections=CONE_SIDES)
+    # Its base is at the bottom.
+    return Mesh((cone.vertices - (0.0, 0.0, height / 2)) * visual.scale, cone.faces.astype(np.int32))
 
 
 Color = tuple[float, float, float, float]

@@ -258,7 +258,7 @@ class Pace:
         if self.is_paused:
             self.on_pause()
             with self._changed:
-                self._changed.wait_for(self._may_go_on)
+                self._changed.wait_for(lambda: self._single_steps > 0 or not self.is_paused)
                 self._single_steps = max(0, self._single_steps - 1)
             return True
         if not self.is_fast:
@@ -266,6 +266,3 @@ class Pace:
             self._begin += max(0.0, -left - MAX_DELAY_S)
             time.sleep(max(0.0, left))
         return False
-
-    def _may_go_on(self) -> bool:
-        return self._single_steps > 0 or not self.is_paused

@@ -56,8 +56,7 @@ class Robot:
         period = self._webots_simulation.basic_step if timeStep is None else int(timeStep)
         return self._webots_simulation.wait(self._webots_robot, period)
 
-    def getBasicTimeStep(self) -> float:
-        return float(self._webots_simulation.basic_step)
+    getBasicTimeStep = returns("_webots_simulation.basic_step", float)
 
     def getTime(self) -> float:
         """Return the simulated time, s."""
@@ -72,8 +71,7 @@ class Robot:
     def getModel(self) -> str:
         return text(self._webots_robot.node, "model")
 
-    def getSynchronization(self) -> bool:
-        return True
+    getSynchronization = staticmethod(lambda: True)
 
     def getControllerArguments(self) -> str:
         return " ".join(texts(self._webots_robot.node, "controllerArgs"))
@@ -86,9 +84,7 @@ class Robot:
 
     getData, setData = getCustomData, setCustomData
 
-    def getProjectPath(self) -> str:
-        return str(self._webots_simulation.scene.files.project)
-
+    getProjectPath = returns("_webots_simulation.scene.files.project", str)
     getWorldPath = returns("_webots_simulation.world_path")
 
     def getDevice(self, name: str) -> Any:
@@ -100,8 +96,7 @@ class Robot:
         print(f'Warning: "{name}" device not found{hint}', file=sys.stderr)
         return None
 
-    def getNumberOfDevices(self) -> int:
-        return len(self._webots_robot.devices)
+    getNumberOfDevices = returns("_webots_robot.devices", len)
 
     def getDeviceByIndex(self, index: int) -> Any:
         return device_object(self._webots_simulation, list(self._webots_robot.devices.values())[index])
@@ -180,11 +175,10 @@ class Supervisor(Robot):
 
     simulationGetMode = returns("SIMULATION_MODE_FAST")
 
-    def simulationSetMode(self, mode: int) -> None:
-        """Do nothing: the world runs as fast as it can."""
-
     def setLabel(self, *_: Any) -> None:
         """Do nothing: there is no window."""
+
+    simulationSetMode = setLabel
 
 
 class Keyboard(Sampled):
@@ -201,13 +195,11 @@ class Keyboard(Sampled):
 
     def enable(self, samplingPeriod: int) -> None:
         """Read the keys once in each period, in ms; 0 disables."""
-        before = self._asked
         self.disable()
-        if samplingPeriod <= 0:
-            return
-        super().enable(samplingPeriod)
-        if self._simulation.held_keys is None and not before:
-            print(f"Warning: {_NO_KEYS}", file=sys.stderr)
+        if samplingPeriod > 0:
+            super().enable(samplingPeriod)
+        if self._simulation.held_keys is None:
+            self._simulation.warn_once(_NO_KEYS)
 
     def disable(self) -> None:
         self._codes = []

@@ -14,8 +14,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
-from functools import cached_property
+from functools import cached_property, partialmethod
 from math import isfinite
+from operator import attrgetter
 from typing import Literal, NamedTuple
 
 from deepbots_cli.diagnostics import Source, Span
@@ -72,32 +73,19 @@ class WorldFindings:
     def __init__(self) -> None:
         self._findings: dict[tuple[str, str], WorldFinding] = {}
 
-    def error(self, span: Span, headline: str, help: Help = "") -> None:
-        self._add("error", span, headline, help)
-
-    def warning(self, span: Span, headline: str, help: Help = "") -> None:
-        self._add("warning", span, headline, help)
-
-    def _add(self, severity: Severity, span: Span, headline: str, help: Help) -> None:
+    def _add(self, severity: Severity, span: Span, headline: str, help: Help = "") -> None:
         count = sum(kind == severity for kind, _ in self._findings)
         if count < MAX_FINDINGS and (severity, headline) not in self._findings:
             text = help if isinstance(help, str) else help()
             self._findings[severity, headline] = WorldFinding(severity, span, headline, text)
 
+    error, warning = partialmethod(_add, "error"), partialmethod(_add, "warning")
+
     def __iter__(self) -> Iterator[WorldFinding]:
-        return iter(
-            sorted(
-                self._findings.values(), key=lambda finding: (finding.span.source.name, finding.span.start)
-            )
-        )
+        return iter(sorted(self._findings.values(), key=attrgetter("span.source.name", "span.start")))
 
-    @property
-    def errors(self) -> list[WorldFinding]:
-        return [finding for finding in self if finding.severity == "error"]
-
-    @property
-    def warnings(self) -> list[WorldFinding]:
-        return [finding for finding in self if finding.severity == "warning"]
+    errors = property(lambda self: [finding for finding in self if finding.severity == "error"])
+    warnings = property(lambda self: [finding for finding in self if finding.severity == "warning"])
 
     def require_none(self) -> None:
         """Raise the errors, if there are any.
@@ -347,8 +335,6 @@ class _Parser:
         """Read the release, such as `R2023b`, and with it the axes."""
         header = _HEADER.match(self.text)
         if header is None:
-            if "\0" in self.text[:1000]:
-                raise self._error(_START, "the file is binary")
             raise self._error(
                 _START,
                 "the first line is not a header of Webots",
@@ -389,12 +375,10 @@ class _Parser:
         outer, self.definitions = self.definitions, {}  # DEF names of the body are its own
         self.take()
         while self.token.text != "}":
-            if not self.token.kind:
-                raise self._unexpected("'}'")
             if self.token.text == "EXTERNPROTO":
                 self.extern()
-                continue
-            proto.body.append(self.node_or_use())
+            else:
+                proto.body.append(self.node_or_use())
         self.take()
         self.definitions = outer
         if not proto.body:

@@ -73,8 +73,7 @@ class Node(_NodeTypes):
         """Return the number of the type, such as `Node.ROBOT`; `Node.NO_NODE` for a type without a number."""
         return _TYPE_NUMBERS.get(self._real.type.upper(), self.NO_NODE)
 
-    def isProto(self) -> bool:
-        return self._node.body is not None
+    isProto = returns("_node.body", lambda body: body is not None)
 
     def getParentNode(self) -> Node | None:
         above = self._simulation.scene.parents.get(self._node)
@@ -127,7 +126,7 @@ class Node(_NodeTypes):
 
     def setVelocity(self, velocity: list[float]) -> None:
         body, _ = self._attachment("setVelocity")
-        if body.node is not self._real or not self._simulation.physics.is_free(body):
+        if body.node is not self._real or not body.is_free:
             raise NotImplementedCallError("Node.setVelocity of a part of a body is not implemented")
         self._simulation.physics.set_velocity(body, _triple(velocity[:3]), _triple(velocity[3:]))
 
@@ -357,8 +356,7 @@ class Field:
     getSFRotation, setSFRotation, getMFRotation, setMFRotation = _accessors("Rotation", float, 4)
 
     def getSFNode(self) -> Node | None:
-        item = next(iter(self._items()), None)
-        return Node(self._simulation, item) if isinstance(item, Written) else None
+        return self.getMFNode(0)
 
     def getCount(self) -> int:
         return len(self._items()) // size_of(self.getTypeName())

@@ -30,7 +30,8 @@ from deepbots_cli.view.scene import (
     shaded_mesh,
     with_edges,
 )
-from deepbots_webots.rendering import HEIGHT, WIDTH, Viewpoint
+from deepbots_webots.nodes import number, real, rotation, text, turn_of, vector
+from deepbots_webots.scene import solid_of_name
 from deepbots_webots.shapes import Grid, Mesh, Plane, Shape, look_of, sky_color, visible_shape
 from deepbots_webots.simulation import Pace, Simulation
 
@@ -38,6 +39,9 @@ FRAME_RATE = 30
 """Pictures per second of real time."""
 _FAREWELL_S = 0.3  # s; the time in which a browser gets the last picture
 _DEFAULT_PLANE_M = 100.0
+# From 3 m, to the origin, for a world without a viewpoint.
+_OVERVIEW: Frame = ((-2.4, 0.0, 1.8), frames.quaternion(0.0, 0.6435, 0.0))
+_ASPECT = 4 / 3
 
 # The code that Webots has for a key: the character in upper case, or a number from 312 on, with the
 # modifiers. A character that is not of ASCII is that of the key on an English keyboard.
@@ -51,24 +55,30 @@ _SENT_KEY = """e => {
   return !code || e.metaKey ? null : code + modifiers; }"""
 
 
-class HeldKeys:
-    """The keys that are held on the page, as the codes of Webots."""
+class Viewpoint:
+    """The Viewpoint node of a world: where it is, and what it follows."""
 
-    def __init__(self) -> None:
-        self._held: tuple[list[int], float] = ([], 0.0)
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
+        nodes = simulation.scene.nodes
+        node = next((real(candidate) for candidate in nodes if real(candidate).type == "Viewpoint"), None)
+        self.fov, self.frame, self._followed = 0.785, _OVERVIEW, None
+        """The horizontal field of view (rad), and the frame at the start."""
+        if node is not None:
+            self.fov = min(max(number(node, "fieldOfView"), 0.05), 2.5)
+            orientation = frames.multiply(rotation(node, "orientation"), turn_of(node))
+            self.frame = vector(node, "position"), orientation
+            self._followed = solid_of_name(simulation.scene, text(node, "follow"))
+        self._start_position = self._followed_position()
 
-    def hold(self, keys: Keys, axes: Axes) -> None:
-        """Take the codes that are held now, the newest first. They are released if no message arrives for
-        `RELEASE_TIMEOUT_S`.
+    def moved(self) -> frames.Triple:
+        """Return how far the solid that the viewpoint follows has moved since the start, m."""
+        return frames.subtract(self._followed_position(), self._start_position)
 
-        Raises:
-            ValueError: A key is not a number.
-        """
-        self._held = [int(key) for key in keys][: server.MAX_KEYS], time.monotonic()
-
-    def codes(self) -> list[int]:
-        codes, at = self._held
-        return codes if time.monotonic() - at < RELEASE_TIMEOUT_S else []
+    def _followed_position(self) -> frames.Triple:
+        if self._followed is None:
+            return 0.0, 0.0, 0.0
+        return self._simulation.physics.position(*self._simulation.scene.attachments[self._followed])
 
 
 class Viewer:
@@ -83,9 +93,9 @@ class Viewer:
         """
         self._simulation, self._pace = simulation, pace
         self._viewpoint = Viewpoint(simulation)
-        self._keys = HeldKeys()
+        self._held: tuple[list[int], float] = ([], 0.0)
         self._server, self.address = server.serve(
-            host, port, f"deepbots {title}", self._keys.hold, needs_token=True, sent_key=_SENT_KEY
+            host, port, f"deepbots {title}", self.hold, needs_token=True, sent_key=_SENT_KEY
         )
         try:
             self._add_panel(title)
@@ -93,10 +103,10 @@ class Viewer:
         except BaseException:
             server.stop(self._server)
             raise
-        simulation.held_keys = self._keys.codes
-        simulation.on_change.append(self._note_change)
+        simulation.held_keys = self.codes
+        self._is_stale = threading.Event()
+        simulation.on_change.append(self._is_stale.set)
         pace.on_pause = self._read
-        self._is_stale = False
         self._drawing, self._ended = threading.Lock(), threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -106,17 +116,27 @@ class Viewer:
 
     def __call__(self) -> None:
         """Leave the poses for the page, if it is time for a picture."""
-        if self._is_stale:
+        if self._is_stale.is_set():
             with self._drawing:
                 self._server.scene.reset()
                 # A browser keeps the poses of nodes whose names return.
                 self._build(self._root.name + "'")
-            self._is_stale = False
+            self._is_stale.clear()
         if time.monotonic() >= self._due or self._pace.is_paused:
             self._read()
 
-    def _note_change(self) -> None:
-        self._is_stale = True
+    def hold(self, keys: Keys, axes: Axes) -> None:
+        """Take the keys that are held on the page, as codes of Webots, the newest first. They are released if
+        no message arrives for `RELEASE_TIMEOUT_S`.
+
+        Raises:
+            ValueError: A key is not a number.
+        """
+        self._held = [int(key) for key in keys][: server.MAX_KEYS], time.monotonic()
+
+    def codes(self) -> list[int]:
+        codes, at = self._held
+        return codes if time.monotonic() - at < RELEASE_TIMEOUT_S else []
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -139,12 +159,12 @@ class Viewer:
         scene, world = self._server.scene, self._simulation.scene
         self._root = scene.add_frame(top, show_axes=False)
         self._nodes = [scene.add_frame(f"{top}/{body.index}", show_axes=False) for body in world.bodies]
-        for number, visual in enumerate(world.visuals):
+        for index, visual in enumerate(world.visuals):
             shape = visible_shape(visual, world.files)
             if shape is not None:
                 above = top if visual.body is None else f"{top}/{visual.body.index}"
                 self._add(
-                    f"{above}/shape{number}", shape, look_of(visual.node, world.files).color, visual.frame
+                    f"{above}/shape{index}", shape, look_of(visual.node, world.files).color, visual.frame
                 )
         sky = sky_color(world.nodes)
         if sky is not None:
@@ -166,9 +186,9 @@ class Viewer:
                 x, y = (*size, _DEFAULT_PLANE_M, _DEFAULT_PLANE_M)[:2]
                 flat = HeightGrid(np.zeros((2, 2)), (x, y)).triangles()
                 add_triangles(scene, name, trimesh.Trimesh(*flat, process=False), color, frame)
-            case Grid(extent, heights):
-                points, triangles = HeightGrid(heights, extent).coarsened(MAX_CELLS).triangles()
-                solid = shaded_mesh(points + np.array([extent[0] / 2, extent[1] / 2, 0.0]), triangles, color)
+            case Grid(size=(x, y)):
+                points, triangles = shape.coarsened(MAX_CELLS).triangles()
+                solid = shaded_mesh(points + np.array([x / 2, y / 2, 0.0]), triangles, color)
                 scene.add_mesh_trimesh(name, solid, position=frame[0], wxyz=frames.wxyz(frame[1]))
             case _:
                 add_shape(scene, name, shape, color, frame)
@@ -179,7 +199,7 @@ class Viewer:
         ahead = frames.rotate(turned, (1.0, 0.0, 0.0))
         middle = self._poses[:, :3].mean(axis=0) if len(self._poses) else np.zeros(3)
         distance = max(0.1, float((middle - eye) @ ahead))
-        vertical = 2 * atan(tan(self._viewpoint.fov / 2) * HEIGHT / WIDTH)
+        vertical = 2 * atan(tan(self._viewpoint.fov / 2) / _ASPECT)
         aim_camera(self._server, View(eye, frames.add(eye, frames.scaled(ahead, distance)), fov=vertical))
         self._server.initial_camera.up = frames.rotate(turned, (0.0, 0.0, 1.0))
 

@@ -28,7 +28,6 @@ class RobotDevices:
     """
 
     name = "webots"
-    capabilities: frozenset[Any] = frozenset()
 
     def __init__(self, robot: Any, timestep: float, gravity: Triple) -> None:
         """Take the devices.
@@ -143,29 +142,20 @@ class RobotDevices:
     def torque_motor(
         self, _robot: str, joints: Sequence[str], max_torque: Sequence[float], **_curve: object
     ) -> MotorWriter:
-        motors = [
-            (self.device(joint), limit, "setForce" if self._is_linear(joint) else "setTorque")
-            for joint, limit in zip(joints, max_torque, strict=True)
-        ]
+        motors = [(self.device(joint), limit) for joint, limit in zip(joints, max_torque, strict=True)]
 
         def write(targets: Sequence[float]) -> None:
-            for (motor, limit, function), target in zip(motors, targets, strict=True):
-                getattr(motor, function)(min(max(target, -limit), limit))
+            for (motor, limit), target in zip(motors, targets, strict=True):
+                motor.setTorque(min(max(target, -limit), limit))  # also the force of a linear motor
 
         return write
 
     def _motors(self, joints: Sequence[str], limits: Sequence[float]) -> list[Any]:
         motors = [self.device(joint) for joint in joints]
-        for motor, joint, limit in zip(motors, joints, limits, strict=True):
-            if limit < inf and self._is_linear(joint):
-                motor.setAvailableForce(limit)
-            elif limit < inf:
+        for motor, limit in zip(motors, limits, strict=True):
+            if limit < inf:
                 motor.setAvailableTorque(limit)
         return motors
-
-    def _is_linear(self, joint: str) -> bool:
-        motor = self.device(joint)
-        return bool(motor.getType() == motor.LINEAR)
 
     # Devices
 

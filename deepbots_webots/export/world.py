@@ -145,7 +145,10 @@ class WorldWriter:
         self._world, self._robots, self._title = project.world, project.robots, project.program.name
         self._remotes, self._starts, self._info = remotes, starts, info
         self._materials: dict[tuple[float, float, float, float], str] = {}
-        self._basic_step = _divisor(project.timestep_ms, project.timestep_ms / self._world.substeps)
+        period, most = project.timestep_ms, project.timestep_ms / self._world.substeps + 1e-9
+        divisors = (divisor for divisor in range(1, period + 1) if period % divisor == 0)
+        self._basic_step = max((divisor for divisor in divisors if divisor <= most), default=1)
+        """The largest divisor of a timestep (ms) that is no longer than a physics step, at least 1 ms."""
 
     def nodes(self) -> Iterator[NodeText]:
         """Yield the nodes of the world."""
@@ -447,12 +450,6 @@ def _with_physics(model: RobotModel, fixed_base: bool) -> RobotModel:
         return Inertial(trace, ixx=trace, iyy=trace, izz=trace)
 
     return replace(model, links=tuple(replace(link, inertial=of(link)) for link in model.links))
-
-
-def _divisor(period: int, step: float) -> int:
-    """Return the largest divisor of a timestep (ms) that is no longer than a physics step, at least 1 ms."""
-    divisors = (divisor for divisor in range(1, period + 1) if period % divisor == 0)
-    return max((divisor for divisor in divisors if divisor <= step + 1e-9), default=1)
 
 
 def _pose_fields(frame: Frame) -> dict[str, Any]:

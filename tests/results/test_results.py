@@ -200,7 +200,7 @@ def test_what_is_missing_can_be_asked_for_without_measuring_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert main(["--list", "cartpole", "costs"], places_in(tmp_path)) == 0
-    assert capsys.readouterr().out.split() == ["cartpole", "41", "missing", "costs", "7", "missing"]
+    assert capsys.readouterr().out.split() == ["cartpole", "41", "missing", "costs", "6", "missing"]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -646,7 +646,6 @@ def test_a_copy_of_webots_has_further_protos(tmp_path: Path, monkeypatch: pytest
     ("text", "headline"),
     [
         ("", "the first line is not a header of Webots"),
-        ("\x00\x01\x02", "the file is binary"),
         (
             "#VRML_SIM V8.5 utf8\nWorldInfo { }",
             "a world of V8.5; deepbots reads those of V8.6 and later",

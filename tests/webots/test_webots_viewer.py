@@ -41,7 +41,7 @@ from deepbots_webots.shapes import MAX_PICTURE_BYTES
 from deepbots_webots.simulation import MAX_DELAY_S, Pace, Simulation
 from deepbots_webots.supervisor import Keyboard
 from deepbots_webots.tree import Node
-from deepbots_webots.viewer import FRAME_RATE, HeldKeys, Viewer
+from deepbots_webots.viewer import FRAME_RATE, Viewer
 from tests.commands import until
 from tests.files import written
 from tests.view.browser import CHROMIUM, browser
@@ -210,7 +210,7 @@ def _pressed(
 
 def test_rubbish_for_keys_presses_none():
     with pytest.raises(ValueError, match="KeyW"):
-        HeldKeys().hold(["KeyW"], {})
+        Viewer.hold(object(), ["KeyW"], {})
 
 
 # Time

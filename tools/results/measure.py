@@ -231,7 +231,7 @@ def sources() -> str:
             if (
                 path.is_file()
                 and "__pycache__" not in inside
-                and not re.match("(tests|tools)/results/|tests/webots/", inside)
+                and not re.match("(tests|tools)/results/|tests/webots/|deepbots_cli/cli/help/", inside)
             ):
                 content.update(inside.encode() + b"\0" + path.read_bytes() + b"\0")
     return content.hexdigest()
