@@ -293,8 +293,7 @@ class Receiver(_ChannelDevice, Sensor):
         return str(self.getBytes().partition(b"\0")[0], "utf-8")
 
     def getFloats(self) -> list[float]:
-        data = self._head.data
-        return list(struct.unpack(f"{len(data) // 8}d", data[: len(data) // 8 * 8]))
+        return list(struct.unpack_from(f"{self.getDataSize() // 8}d", self._head.data))
 
     getDataSize = returns("_head.data", len)
 

@@ -104,8 +104,7 @@ class Camera(_Optics):
         colors = self._simulation.pictures.colors(self._frame(), self._size, self._fov, self.getNear())
         noise = number(self._spec.node, "noise") * 255  # Webots states it as a share of a channel's range
         if noise > 0:
-            noisy = colors + self._noises(noise, colors.shape)
-            colors = np.clip(np.rint(noisy), 0, 255).astype(np.uint8)
+            colors = np.rint(colors + self._noises(noise, colors.shape)).clip(0, 255).astype(np.uint8)
         self._picture = colors
 
     def getNear(self) -> float:

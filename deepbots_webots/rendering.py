@@ -39,11 +39,9 @@ MAX_PIXELS = 4096
 UNAVAILABLE = "MuJoCo finds no OpenGL on this machine; install EGL or OSMesa (Debian: libegl1 or libosmesa6)"
 
 
-@cache
-def _context() -> Any:
-    """Return a context of OpenGL around which all pictures are drawn, so that none stays with a thread: each
-    controller has a thread of its own."""
-    return mj.GLContext(8, 8)
+_context = cache(lambda: mj.GLContext(8, 8))
+"""Returns a context of OpenGL around which all pictures are drawn, so that none stays with a thread: each
+controller has a thread of its own."""
 
 
 def require_opengl() -> None:

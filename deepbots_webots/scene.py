@@ -659,10 +659,12 @@ class _Builder:
         anchor = (0.0, 0.0, 0.0) if slides or first is None else _vector_or(first, "anchor", (0.0, 0.0, 0.0))
         in_parent = compose(site.frame, (anchor, IDENTITY_ROTATION), site.scale)[0]
         anchor = frames.rotate(inverse, frames.subtract(in_parent, position))
-        if node.type == "BallJoint" and not _is_passive(node, first):
-            self.findings.error(
-                node.span, "a BallJoint with devices, stops or single axes is not implemented"
-            )
+        if node.type == "BallJoint":
+            has_stops = first is not None and number(first, "minStop") != number(first, "maxStop")
+            if has_stops or any(children(node, field) for field in _OF_SINGLE_AXES):
+                self.findings.error(
+                    node.span, "a BallJoint with devices, stops or single axes is not implemented"
+                )
         for index, (kind, stops, axis) in enumerate(_axes(node, first)):
             length = hypot(*axis)
             if length < 1e-9:
@@ -771,12 +773,6 @@ def _axis(kind: JointKind, parameters: Node | None, default: Triple) -> _Axis:
 
 
 _OF_SINGLE_AXES = (*("device", "device2", "device3"), "jointParameters2", "jointParameters3")
-
-
-def _is_passive(joint: Node, first: Node | None) -> bool:
-    """Return whether a ball joint turns freely, without devices, stops or parameters of single axes."""
-    has_stops = first is not None and number(first, "minStop") != number(first, "maxStop")
-    return not (has_stops or any(children(joint, field) for field in _OF_SINGLE_AXES))
 
 
 def _vector_or(node: Node, name: str, default: Triple) -> Triple:

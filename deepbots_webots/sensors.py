@@ -431,8 +431,7 @@ class TouchSensor(ScalarSensor, HasLookupTable):
                 if physics.geoms[geom][1].owner is node:
                     touches, total = True, frames.add(total, frames.scaled(force, sign))
         self._values = frames.rotate_back(self._frame()[1], total)
-        is_bumper = self.getType() == self.BUMPER
-        self._value = float(touches) if is_bumper else self._response(abs(self._values[0]))
+        self._value = self._response(abs(self._values[0])) if self.getType() else float(touches)
 
 
 def ray_directions(count: int, aperture: float) -> list[Triple]:

@@ -317,13 +317,11 @@ def plain(*values: float) -> str:
 # Arena and terrain
 
 
-def _is_at_origin(node: Node) -> bool:
-    return hypot(*vector(node, "translation")) < 1e-6 and abs(rotation(node, "rotation")[3]) > 1 - 1e-9
-
-
 def _arena(scene: Scene, result: Surroundings) -> set[Node]:
     for node in walk(scene.nodes):
-        if node.type != "RectangleArena" or node.body is None or not _is_at_origin(node):
+        if node.type != "RectangleArena" or node.body is None:
+            continue
+        if hypot(*vector(node, "translation")) > 1e-6 or abs(rotation(node, "rotation")[3]) < 1 - 1e-9:
             continue
         x, y = (*numbers(node, "floorSize"), 1.0, 1.0)[:2]
         walls = (

@@ -410,6 +410,14 @@ def test_a_robot_that_pushes_a_wall_does_not_sink_into_it():
     assert nearest == pytest.approx(0.19 + 0.037, abs=0.005)
 
 
+def test_a_stick_that_spins_fast_stays_finite():
+    stick = solid("Cylinder { radius 0.0075 height 0.06 }", "angularVelocity 60 290 50", mass=0.008)
+    simulation = simulate(stick, step=10, gravity=0)
+    run(simulation, 10)
+    # At most 1 rad in a substep of 5 ms.
+    assert math.hypot(*node(simulation, "BODY").getVelocity()[3:]) < 200.1
+
+
 def test_too_many_contacts_end_a_run_with_a_sentence():
     simulation = simulate("E-puck { }" * 40)
     with pytest.raises(FloatingPointError, match="more contacts than MuJoCo has room for"):
