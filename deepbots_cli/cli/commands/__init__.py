@@ -122,7 +122,7 @@ NEEDS: Mapping[str, Mapping[str, str]] = {
     "try": {"--lockstep --speed": "--robot"},
     "webots": {
         "--open --port": "--view",
-        "--steps --record --view": "--allow-code; runs the programs of the project, which you should trust",
+        "--steps --view": "--allow-code; runs the programs of the project, which you should trust",
     },
 }
 """The options, by command, that need one of other options, and after a semicolon what they do."""
