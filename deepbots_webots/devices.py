@@ -107,10 +107,8 @@ class Motor(JointDevice):
         velocity, state = float(velocity), self._state
         if self._ignores(math.isnan(velocity), "the velocity is NaN"):
             return
-        is_position = not math.isinf(state.target_position)
-        if self._ignores(
-            velocity < 0 and is_position, f"the velocity {velocity:g} is negative under position control"
-        ):
+        is_wrong = velocity < 0 and not math.isinf(state.target_position)
+        if self._ignores(is_wrong, f"the velocity {velocity:g} is negative under position control"):
             return
         if abs(velocity) > state.max_velocity:
             if math.isfinite(velocity):
@@ -127,10 +125,8 @@ class Motor(JointDevice):
         return is_wrong
 
     def setAcceleration(self, acceleration: float) -> None:
-        if self._ignores(
-            not (acceleration == -1 or acceleration >= 0),
-            f"the acceleration {acceleration:g} is neither -1 nor at least 0",
-        ):
+        is_wrong = acceleration != -1 and not acceleration >= 0
+        if self._ignores(is_wrong, f"the acceleration {acceleration:g} is neither -1 nor at least 0"):
             return
         self._state.acceleration = float(acceleration)
 

@@ -227,8 +227,9 @@ def _set_inertia(element: Any, inertial: Inertial) -> None:
 
 
 def _may_touch(first: Body, second: Body) -> bool:
+    shares_robot = first.robot is not None and first.robot is second.robot
     moves = first.is_free or first.joints or second.is_free or second.joints
-    return first is not second and (first.robot is None or first.robot is not second.robot) and bool(moves)
+    return first is not second and not shares_robot and bool(moves)
 
 
 def _friction(contact: Contact) -> list[float]:

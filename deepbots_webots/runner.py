@@ -220,15 +220,14 @@ class Runner:
                 return
 
     def _outcome(self) -> Outcome:
-        simulation = self.simulation
-        codes = [simulation.quit_status, *(controller.exit_code for controller in self.controllers)]
+        codes = [self.simulation.quit_status, *(controller.exit_code for controller in self.controllers)]
         code = next(filter(None, codes), int(bool(self._problems)))
         is_stuck = not all(controller.has_ended for controller in self.controllers)
-        seconds, steps = simulation.ticks / 1000, simulation.ticks // simulation.basic_step
         ends = tuple(
             (controller.robot.name, controller.exit_code, controller.steps) for controller in self.controllers
         )
-        return Outcome(code, seconds, steps, tuple(self._problems), ends, is_stuck)
+        steps = self.simulation.ticks // self.simulation.basic_step
+        return Outcome(code, self.simulation.ticks / 1000, steps, tuple(self._problems), ends, is_stuck)
 
     @contextmanager
     def _surroundings(self) -> Iterator[None]:

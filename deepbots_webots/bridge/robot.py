@@ -27,8 +27,6 @@ class RobotDevices:
     it is set, readers return them.
     """
 
-    name = "webots"
-
     def __init__(self, robot: Any, timestep: float, gravity: Triple) -> None:
         """Take the devices.
 

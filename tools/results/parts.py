@@ -54,12 +54,15 @@ COSTS = Part(
     name="costs",
     title="What it costs",
     prose="""\
-Steps of an environment are compared with bare physics: the same engine, world, substeps and motion, without resets. "Layered by hand"
-is an environment with a supervisor, a robot and messages, written directly on PyBullet and numpy (`tools/benchmarks/layered.py`, which
-says how its style changes the cost). "A plain environment by hand" is one class around PyBullet's functions with PyBullet's defaults
+Steps of an environment are compared with bare physics: the same engine, world, substeps and motion, without
+resets. "Layered by hand" is an environment with a supervisor, a robot and messages, written directly on
+PyBullet and numpy (`tools/benchmarks/layered.py`, which says how its style changes the cost). "A plain
+environment by hand" is one class around PyBullet's functions with PyBullet's defaults
 (`tools/benchmarks/plain_cost.py`); [Physics engines](../engines.md) explains the difference. Answers of the
-language server are timed over its standard streams at random places, a quarter of them directly after a change of the text. Linting is
-timed as installed, with compiled modules. Other processes on the machine add 10 to 25 % to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, which computes its memory in every step, 1.28 to 1.36.""",
+language server are timed over its standard streams at random places, a quarter of them directly after a
+change of the text. Linting is timed as installed, with compiled modules. Other processes on the machine add
+10 to 25 % to all times. Beside them, the quadruped had 1.12 to 1.23, and FindBallRandom, which computes its
+memory in every step, 1.28 to 1.36.""",
     tables=(
         *map(Benchmark, ("step_cost", "plain_cost", "compile_cost", "lint_cost", "lsp_cost")),
         Benchmark("first_install"),
